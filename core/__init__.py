@@ -1,0 +1,1 @@
+"""SNeRG without Blender: capture, field, grid, export, study, jobs. Nothing here imports bpy."""

@@ -1,0 +1,1 @@
+"""Photographs and cameras: what a field is trained on."""

@@ -1,0 +1,1 @@
+"""Files and web pages that a baked scene becomes."""

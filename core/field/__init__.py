@@ -1,0 +1,1 @@
+"""The deferred NeRF: encodings, networks, sampling, volume rendering, training."""

@@ -1,0 +1,1 @@
+"""The baked scene: box, voxels, bake, march."""
