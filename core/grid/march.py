@@ -1,0 +1,320 @@
+"""The marcher: a baked scene and a camera to colour, alpha and depth, with NumPy alone (section 5.2).
+
+One lattice of samples a ray, t_start + 0.5 + k voxels: skipping only ever moves to a later integer k, so the
+picture is the one that a dense march gives (hard case 33). What is skipped is known to be zero: blocks
+without a cell, and runs of voxels at whose 8 corners the atlas holds nothing (Chebyshev distance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..field.networks import view_residual
+from .box import CELL_VOXELS, DATA_VOXELS
+from .snerg import NETWORK_TRANSMITTANCE, Snerg
+
+Progress = Callable[[float, str], None]
+MAX_SKIP = 10  # voxels that one jump inside a block can pass; more costs set-up time and saves little
+CORNERS = np.array([(x * CELL_VOXELS + y) * CELL_VOXELS + z for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
+
+
+@dataclass(frozen=True)
+class MarchSettings:
+    """stop_transmittance: a ray ends when less than this passes; it bounds the error of a pixel.
+
+    batch: rays marched together (what fits the caches). threads: batches at a time.
+    skip: jump over empty voxels; the picture is the same without, only later.
+    """
+
+    stop_transmittance: float = 2e-4
+    batch: int = 12288
+    threads: int = 2
+    skip: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """colour [H, W, 3] float32 premultiplied, display-referred, over nothing; alpha [H, W]; depth [H, W], the
+    expected distance along the ray in world units, infinite where alpha is 0."""
+
+    colour: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+
+    def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+        """[H, W, 3] in [0, 1] over a colour."""
+        return np.clip(self.colour + (1 - self.alpha[..., None]) * np.float32(background), 0, 1)
+
+    def straight(self) -> np.ndarray:
+        """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
+        alpha = self.alpha[..., None]
+        colour = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
+        return np.concatenate([np.where(alpha > 0, colour, 0), alpha], axis=-1)
+
+
+def march(
+    snerg: Snerg,
+    camera: Camera,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = lambda fraction, what: None,
+) -> Frame:
+    """Render a baked scene from a camera. `progress` may raise Cancelled, which it does between batches."""
+    origins, directions = camera.rays()
+    composited = march_rays(snerg, origins, directions, settings, progress, near=max(snerg.near, camera.near))
+    colour = shade(snerg, composited, directions)
+    alpha = 1 - composited.transmittance
+    depth = np.where(alpha > 0, composited.depth / np.maximum(alpha, 1e-6), np.inf)
+    shape = camera.height, camera.width
+    return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.astype(np.float32).reshape(shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Composited:
+    """What a ray gathers: colour [N, 3], features [N, 4] (zeros in a diffuse scene), transmittance [N], and
+    depth [N], distance times opacity in world units. float32."""
+
+    colour: np.ndarray
+    features: np.ndarray
+    transmittance: np.ndarray
+    depth: np.ndarray
+
+
+def shade(snerg: Snerg, rays: Composited, directions: np.ndarray) -> np.ndarray:
+    """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is."""
+    if snerg.network is None:
+        return rays.colour
+    colour = rays.colour.copy()
+    seen = np.flatnonzero(rays.transmittance <= np.float32(NETWORK_TRANSMITTANCE))
+    over_white = colour[seen] + rays.transmittance[seen, None]
+    towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
+    colour[seen] += view_residual(np, snerg.network, over_white, rays.features[seen], towards)
+    return colour
+
+
+def march_rays(
+    snerg: Snerg,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = lambda fraction, what: None,
+    near: float = 0.0,
+) -> Composited:
+    """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6)."""
+    tables = tables_of(snerg)
+    origin, direction, start, stop = enter(snerg, origins, directions, near)
+    count = len(origin)
+    gathered = np.zeros((count, tables.channels), np.float32)
+    through = np.ones(count, np.float32)
+    depth = np.zeros(count, np.float32)
+    hit = np.flatnonzero(stop > start + 0.5)
+    batches = [hit[i : i + settings.batch] for i in range(0, len(hit), settings.batch)]
+
+    def run(rays: np.ndarray) -> None:
+        walk = _Walk(tables, origin[rays], direction[rays], start[rays], stop[rays], settings)
+        gathered[rays], through[rays], depth[rays] = walk.run()
+
+    with ThreadPoolExecutor(settings.threads) as pool:
+        for done, _ in enumerate(pool.map(run, batches)):
+            progress((done + 1) / len(batches), "Marching")
+    features = gathered[:, 3:7] if tables.channels == 8 else np.zeros((count, 4), np.float32)
+    return Composited(gathered[:, :3], features, through, depth * np.float32(snerg.voxel_size))
+
+
+def enter(
+    snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays in voxel coordinates, re-based to where they enter the grid.
+
+    Returns point of entry [N, 3], direction [N, 3] (both float32), and the distances in voxels [N] at which the
+    ray starts (float32, from the eye) and stops (from the eye). Everything up to here is float64, so a scene far from the
+    origin is as steady as one at it (hard case 6); a direction of 0 along an axis is a miss or all of it (31, 32).
+    """
+    rotation = snerg.grid_to_world[:3, :3]
+    local = (origins - snerg.grid_to_world[:3, 3]) @ rotation / snerg.voxel_size
+    towards = directions @ rotation
+    shape = np.array(snerg.shape, np.float64)
+    flat = np.abs(towards) < 1e-12
+    inverse = 1 / np.where(flat, 1, towards)
+    low, high = -local * inverse, (shape - local) * inverse
+    inside = (local >= 0) & (local <= shape)
+    first = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(low, high)).max(axis=-1)
+    last = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(low, high)).min(axis=-1)
+    start = np.maximum(first, near / snerg.voxel_size)
+    start = np.where(np.isfinite(start) & (start < last), start, 0)
+    last = np.where(first < last, last, -1)
+    entry = local + towards * start[:, None]
+    return entry.astype(np.float32), towards.astype(np.float32), start, last
+
+
+@dataclass(frozen=True, eq=False)
+class _Tables:
+    """What a march looks up.
+
+    words: the atlas, one word of C bytes a voxel [M * 32^3]. base: [blocks] int32 first word of a block's cell,
+    -1 where empty. block_skip: [blocks] int32 Chebyshev distance in blocks to the nearest with a cell.
+    voxel_skip: uint8 [M * 32^3] Chebyshev distance in voxels to the nearest with something at its 8 corners,
+    within the cell; 0 there.
+    """
+
+    words: np.ndarray
+    channels: int
+    base: np.ndarray
+    block_skip: np.ndarray
+    voxel_skip: np.ndarray
+    blocks: tuple[int, int, int]
+
+
+_tables: WeakKeyDictionary[Snerg, _Tables] = WeakKeyDictionary()
+
+
+def tables_of(snerg: Snerg) -> _Tables:
+    """The look-up tables of a scene, made once."""
+    tables = _tables.get(snerg)
+    if tables is None:
+        tables = _tables[snerg] = _make_tables(snerg)
+    return tables
+
+
+def _make_tables(snerg: Snerg) -> _Tables:
+    channels = snerg.cells.shape[-1]
+    word = np.uint64 if channels == 8 else np.uint32
+    words = np.ascontiguousarray(snerg.cells).reshape(-1).view(word) if len(snerg.cells) else np.zeros(CELL_VOXELS**3, word)
+    full = snerg.indirection >= 0
+    base = np.where(full, snerg.indirection.astype(np.int64) * CELL_VOXELS**3, -1)
+    return _Tables(
+        words=words,
+        channels=channels,
+        base=base.reshape(-1).astype(np.int64),
+        block_skip=chebyshev(full, max(full.shape)).reshape(-1).astype(np.int32),
+        voxel_skip=_voxel_skip(words.reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS)),
+        blocks=full.shape,
+    )
+
+
+def _voxel_skip(words: np.ndarray) -> np.ndarray:
+    """[M, 32, 32, 32] words to flat uint8 distances; the tent of voxel i reaches from i to i + 1 on each axis."""
+    occupied = words != 0
+    for axis in (1, 2, 3):
+        ahead = [slice(None)] * 4
+        here = [slice(None)] * 4
+        ahead[axis], here[axis] = slice(1, None), slice(None, -1)
+        occupied[tuple(here)] |= occupied[tuple(ahead)]
+    return chebyshev(occupied, MAX_SKIP, first_axis=1).reshape(-1)
+
+
+def chebyshev(occupied: np.ndarray, most: int, first_axis: int = 0) -> np.ndarray:
+    """Distance to the nearest True in the maximum norm along the axes from `first_axis`, uint8, at most `most`."""
+    distance = np.where(occupied, 0, 1).astype(np.uint8)
+    reached = occupied.copy()
+    for _ in range(1, min(most, 255)):
+        if reached.all():
+            break
+        for axis in range(first_axis, reached.ndim):
+            reached = _spread(reached, axis)
+        distance += ~reached
+    return distance
+
+
+def _spread(mask: np.ndarray, axis: int) -> np.ndarray:
+    """True also where a neighbour along the axis is."""
+    wide = mask.copy()
+    ahead, back = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim
+    ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+    wide[tuple(back)] |= mask[tuple(ahead)]
+    wide[tuple(ahead)] |= mask[tuple(back)]
+    return wide
+
+
+class _Walk:
+    """A batch of rays on their way through the grid; the live ones are kept packed together."""
+
+    def __init__(
+        self,
+        tables: _Tables,
+        entry: np.ndarray,
+        direction: np.ndarray,
+        start: np.ndarray,
+        stop: np.ndarray,
+        settings: MarchSettings,
+    ) -> None:
+        self.tables, self.settings = tables, settings
+        self.entry, self.direction, self.start = entry, direction, start
+        # Sample k stands at start + 0.5 + k; the last one before the exit:
+        self.samples = np.ceil(stop - start - 0.5).astype(np.int32)
+        self.pace = 1 / np.maximum(np.abs(direction).max(axis=-1), 1e-12)  # steps to move one voxel along the fastest axis
+        self.colour = np.zeros((len(entry), tables.channels), np.float32)
+        self.through = np.ones(len(entry), np.float32)
+        self.depth = np.zeros(len(entry), np.float32)
+
+    def run(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Composited values [N, C] (the last channel is alpha's), transmittance [N], depth times opacity in voxels [N]."""
+        live = np.arange(len(self.entry))
+        step = np.zeros(len(live), np.int32)
+        while len(live):
+            step += self.advance(live, step)
+            keep = step < self.samples[live]
+            keep &= self.through[live] > self.settings.stop_transmittance
+            if not keep.all():
+                live, step = live[keep], step[keep]
+        return self.colour, self.through, self.depth
+
+    def advance(self, live: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Take the sample that each live ray stands at; return how many steps to the next that can matter."""
+        tables = self.tables
+        t = step.astype(np.float32) + np.float32(0.5)
+        point = self.entry[live] + self.direction[live] * t[:, None]
+        # The grid's outer faces belong to it: rounding must not push a sample out of its block.
+        block = np.clip((point * np.float32(1 / DATA_VOXELS)).astype(np.int32), 0, np.array(tables.blocks, np.int32) - 1)
+        number = (block[:, 0] * tables.blocks[1] + block[:, 1]) * tables.blocks[2] + block[:, 2]
+        base = tables.base[number]
+        move = np.ones(len(live), np.int32)
+        full = base >= 0
+        if self.settings.skip:
+            empty = np.flatnonzero(~full)
+            move[empty] = self.leave(live[empty], point[empty], block[empty], tables.block_skip[number[empty]])
+        rows = np.flatnonzero(full)
+        local = point[rows] - (block[rows] * DATA_VOXELS).astype(np.float32) + np.float32(0.5)
+        corner = np.minimum(local.astype(np.int32), CELL_VOXELS - 2)
+        first = base[rows] + ((corner[:, 0] * CELL_VOXELS + corner[:, 1]) * CELL_VOXELS + corner[:, 2])
+        skip = tables.voxel_skip[first]
+        if self.settings.skip:
+            far = np.flatnonzero(skip > 1)
+            move[rows[far]] = 1 + ((skip[far] - 1) * self.pace[live[rows[far]]]).astype(np.int32)
+        near = np.flatnonzero(skip == 0)
+        if len(near):
+            self.gather(live[rows[near]], first[near], local[near] - corner[near], t[rows[near]])
+        return move
+
+    def leave(self, live: np.ndarray, point: np.ndarray, block: np.ndarray, distance: np.ndarray) -> np.ndarray:
+        """Steps to the first sample outside the cube of empty blocks around `block` (a hair early, never late)."""
+        radius = (distance - 1)[:, None]
+        direction = self.direction[live]
+        wall = np.where(direction >= 0, block + 1 + radius, block - radius) * np.float32(DATA_VOXELS)
+        safe = np.where(np.abs(direction) < 1e-9, 1, direction)
+        steps = np.where(np.abs(direction) < 1e-9, np.float32(1e9), (wall - point) / safe).min(axis=-1)
+        return np.maximum(np.minimum(steps - np.float32(1e-2), 1e9).astype(np.int32) + 1, 1)
+
+    def gather(self, rays: np.ndarray, first: np.ndarray, fraction: np.ndarray, t: np.ndarray) -> None:
+        """Trilinear interpolation at the samples that hold something, composited front to back."""
+        words = self.tables.words[first[:, None] + CORNERS]
+        values = words.view(np.uint8).reshape(len(rays), 8, self.tables.channels).astype(np.float32)
+        fx, fy, fz = fraction[:, 0], fraction[:, 1], fraction[:, 2]
+        through = self.through[rays]
+        x0, x1 = (1 - fx), fx
+        weights = np.empty((len(rays), 8), np.float32)
+        for i, wx in enumerate((x0, x1)):
+            for j, wy in enumerate((1 - fy, fy)):
+                wxy = wx * wy
+                weights[:, 4 * i + 2 * j + 1] = wxy * fz
+                weights[:, 4 * i + 2 * j] = wxy - weights[:, 4 * i + 2 * j + 1]
+        weights *= (through * np.float32(1 / 255))[:, None]
+        sample = np.einsum("nk,nkc->nc", weights, values)
+        self.colour[rays] += sample
+        self.through[rays] = through - sample[:, -1]
+        self.depth[rays] += sample[:, -1] * (self.start[rays] + t).astype(np.float32)
