@@ -1,0 +1,65 @@
+# `make demo` and `make test` are all that a newcomer needs; both set up what they use.
+# Another Python has a virtual environment of its own: make test PYTHON=python3.13
+
+find_python = $(shell for name in $(1); do \
+	"$$name" -c 'import sys; print(sys.executable)' 2>/dev/null && break; \
+	release=$$(pyenv latest "$${name\#\#*python}" 2>/dev/null) && PYENV_VERSION="$$release" pyenv which "$$name" 2>/dev/null && break; \
+	done)
+
+PYTHON ?= python3.11 python3.13 python3
+INTERPRETER := $(call find_python,$(PYTHON))
+VERSION := $(shell "$(INTERPRETER)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
+VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
+PY := $(VENV)/bin/python
+TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
+
+.PHONY: setup demo test test-slow lint format extension clean python
+
+setup: $(VENV)/.installed build/viewer.stamp
+
+python:
+	@case "$(VERSION)" in \
+	  3.11|3.13) ;; \
+	  "") echo "No Python called '$(PYTHON)' runs here; install Python 3.11 or 3.13, or name one: make $(MAKECMDGOALS) PYTHON=/path/to/python" >&2; exit 2;; \
+	  *) echo "Python $(VERSION) will not do: Blender comes as a module for 3.11 and 3.13; make $(MAKECMDGOALS) PYTHON=/path/to/python" >&2; exit 2;; \
+	esac
+
+$(VENV)/.installed: requirements.txt pyproject.toml | python
+	test -x $(PY) || "$(INTERPRETER)" -m venv $(VENV) || { rm -rf $(VENV); echo "This Python cannot make virtual environments; install its venv module." >&2; exit 2; }
+	$(PY) -m pip install --disable-pip-version-check -q -r requirements.txt
+	$(PY) -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
+	touch $@
+
+VIEWER_SOURCES := $(wildcard package.json package-lock.json) $(shell find core/export/viewer -type f -not -path '*/dist/*' 2>/dev/null)
+
+build/viewer.stamp: $(VIEWER_SOURCES)
+	@command -v npm >/dev/null || { echo "The web viewer is built with npm; install Node 20 or newer." >&2; exit 2; }
+	npm ci --no-audit --no-fund
+	npm run build
+	mkdir -p build && touch $@
+
+demo: setup
+	$(PY) demo/run.py
+
+test: setup
+	$(PY) -m pytest
+
+test-slow: setup
+	$(PY) -m pytest -m slow || [ $$? -eq 5 ] # 5: there are none
+
+# mypy wants the root to be called snerg, whatever the clone is called.
+lint: $(VENV)/.installed
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	mkdir -p build/types && ln -sfn ../.. build/types/snerg
+	MYPYPATH=build/types $(PY) -m mypy $(TYPED)
+
+format: $(VENV)/.installed
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+
+extension: setup
+	$(PY) tools/build_extension.py
+
+clean:
+	rm -rf build .venv .venv-* node_modules core/export/viewer/dist *.egg-info
