@@ -1,0 +1,92 @@
+"""The slow, plain, float64 march that every other march is measured against: no skipping, no early stop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from snerg.core.capture.camera import Camera
+from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
+from snerg.core.grid.snerg import NETWORK_TRANSMITTANCE, Snerg
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """colour [H, W, 3] float64 premultiplied, view dependence included; transmittance [H, W]; depth [H, W]: distance times
+    opacity, summed, world units. `composited` [H, W, C - 1]: colour and features before the network."""
+
+    colour: np.ndarray
+    transmittance: np.ndarray
+    depth: np.ndarray
+    composited: np.ndarray
+
+    def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+        """[H, W, 3] in [0, 1]."""
+        return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
+
+
+def dense_march(snerg: Snerg, camera: Camera) -> Truth:
+    """Every sample of every ray, one after the other (sections 5.2 and 4.2)."""
+    origins, directions = camera.rays()
+    values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near))
+    colour = values[:, :3].copy()
+    if snerg.network is not None:
+        seen = through <= NETWORK_TRANSMITTANCE
+        white = colour + through[:, None]
+        colour[seen] += residual(snerg, white[seen], values[seen, 3:], directions[seen] @ snerg.view_rotation.T)
+    h, w = camera.height, camera.width
+    return Truth(colour.reshape(h, w, 3), through.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
+
+
+def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world."""
+    axes, corner = snerg.grid_to_world[:3, :3], snerg.grid_to_world[:3, 3]
+    origin = (origins - corner) @ axes / snerg.voxel_size
+    direction = directions @ axes
+    with np.errstate(divide="ignore", invalid="ignore"):
+        walls = np.stack([-origin / direction, (np.array(snerg.shape) - origin) / direction])
+    parallel = direction == 0
+    inside = (origin >= 0) & (origin <= np.array(snerg.shape))
+    enters = np.where(parallel, np.where(inside, -np.inf, np.inf), walls.min(axis=0)).max(axis=-1)
+    leaves = np.where(parallel, np.where(inside, np.inf, -np.inf), walls.max(axis=0)).min(axis=-1)
+    start = np.maximum(enters, near / snerg.voxel_size)
+    values = np.zeros((len(origin), snerg.cells.shape[-1] - 1))
+    through, depth = np.ones(len(origin)), np.zeros(len(origin))
+    k = 0
+    while True:
+        t = start + 0.5 + k
+        live = np.flatnonzero(t < leaves)
+        if not len(live):
+            return values, through, depth
+        sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
+        values[live] += through[live, None] * sample[:, :-1]
+        depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
+        through[live] *= 1 - sample[:, -1]
+        k += 1
+
+
+def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
+    """[N, 3] voxel coordinates inside the grid to [N, C] in [0, 1]; nothing in blocks without a cell."""
+    block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
+    cell = snerg.indirection[tuple(block.T)]
+    result = np.zeros((len(points), snerg.cells.shape[-1]))
+    full = np.flatnonzero(cell >= 0)
+    local = points[full] - DATA_VOXELS * block[full] + 0.5
+    base = np.clip(np.floor(local).astype(int), 0, CELL_VOXELS - 2)
+    fraction = local - base
+    for offset in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1)
+        x, y, z = (base + np.array(offset)).T
+        result[full] += weight[:, None] * snerg.cells[cell[full], x, y, z] / 255
+    return result
+
+
+def residual(snerg: Snerg, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Equation 7, written out in float64."""
+    network = [np.asarray(a, np.float64) for a in snerg.network or ()]
+    waves = [f(2.0**k * directions) for f in (np.sin, np.cos) for k in range(4)]
+    x = np.concatenate([directions, *waves, colour, features], axis=-1)
+    x = np.maximum(x @ network[0] + network[1], 0)
+    x = np.maximum(x @ network[2] + network[3], 0)
+    return 1 / (1 + np.exp(-(x @ network[4] + network[5])))

@@ -1,0 +1,143 @@
+"""Baked scenes made by arithmetic, and cameras around them: small, with everything that goes wrong in a big one.
+
+Colours name directions (more red towards +x, green towards +y, blue towards +z, in the box's axes), so that a
+mirrored or turned picture shows.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from snerg.core.capture.camera import Camera
+from snerg.core.field.networks import SHAPES, ViewNetwork
+from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
+from snerg.core.grid.snerg import Snerg, blocks_of
+
+
+def rotation(angles: tuple[float, float, float]) -> np.ndarray:
+    """[3, 3] turn by radians about x, then y, then z."""
+    result = np.eye(3)
+    for axis, angle in enumerate(angles):
+        turn = np.eye(3)
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        turn[[a, a, b, b], [a, b, a, b]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+        result = turn @ result
+    return result
+
+
+def random_network(seed: int = 0) -> ViewNetwork:
+    """Weights that give residuals spread over (0, 1), different in every direction."""
+    draw = np.random.default_rng(seed)
+    arrays = [draw.normal(0, 1.5 / np.sqrt(shape[0]), shape) if len(shape) == 2 else draw.normal(0, 0.3, shape) for shape in SHAPES]
+    arrays[4] *= 0.7
+    arrays[5] = arrays[5] - 1.5
+    return ViewNetwork(*(a.astype(np.float32) for a in arrays))
+
+
+def volume(shape: tuple[int, int, int], fog: bool = True) -> np.ndarray:
+    """[X, Y, Z, 8] uint8, premultiplied: a ball with a window in it, thin sheet, rods and fog of alpha 1 to 3 of 255."""
+    size = np.array(shape)
+    point = (np.stack(np.meshgrid(*(np.arange(n) + 0.5 for n in shape), indexing="ij"), axis=-1) - size / 2) / size.min()
+    x, y, z = np.moveaxis(point, -1, 0)
+    alpha = np.zeros(shape)
+    ball = np.linalg.norm(point, axis=-1)
+    alpha[(ball < 0.33) & (ball > 0.27)] = 0.9
+    alpha[(ball < 0.33) & (np.abs(x - 0.05) < 0.1) & (np.abs(z - 0.1) < 0.08)] = 0  # a window right through it
+    alpha[(np.abs(y - 0.42) < 0.6 / size.min()) & (np.abs(x) < 0.3)] = 0.6  # a sheet one voxel thick
+    alpha[(np.hypot(x - 0.4, y + 0.1) < 0.03)] = 1.0  # a rod up z, on the +x side
+    alpha[(z < -0.5 * size[2] / size.min() + 2.1 / size.min())] = 0.8  # a floor on the lowest face
+    colour = np.clip(0.5 + 0.9 * point, 0, 1)
+    colour *= np.where((np.floor(8 * (x + 2)) + np.floor(8 * (z + 2))) % 2 > 0, 1.0, 0.55)[..., None]  # checks, not round ones
+    features = 0.5 + 0.5 * np.sin(point @ np.array([[7.0, 1, 3, 5], [2, 9, 4, 1], [5, 3, 8, 2]]))
+    values = np.concatenate([colour * alpha[..., None], features * alpha[..., None], alpha[..., None]], axis=-1)
+    result = np.rint(values * 255).astype(np.uint8)
+    if fog:
+        thin = (result[..., 7] == 0) & (np.abs(z + 0.15) < 0.12)
+        draw = np.random.default_rng(1)
+        level = draw.integers(1, 4, shape)
+        result[thin, 7] = level[thin]
+        result[thin, :7] = draw.integers(0, 256, (*shape, 7))[thin] % (level[thin] + 1)[:, None]
+    return result
+
+
+def snerg_from_volume(values: np.ndarray, network: ViewNetwork | None, **settings: object) -> Snerg:
+    """Cut [X, Y, Z, C] uint8 into cells; a block has one where its 32^3 voxels, apron included, hold anything."""
+    shape = values.shape[:3]
+    blocks = blocks_of(shape)
+    padded = np.zeros((*(b * DATA_VOXELS + 2 for b in blocks), values.shape[-1]), np.uint8)
+    padded[1 : shape[0] + 1, 1 : shape[1] + 1, 1 : shape[2] + 1] = values
+    indirection = np.full(blocks, -1, np.int32)
+    cells = []
+    for block in np.ndindex(*blocks):
+        x, y, z = (b * DATA_VOXELS for b in block)
+        cell = padded[x : x + CELL_VOXELS, y : y + CELL_VOXELS, z : z + CELL_VOXELS]
+        if cell.any():
+            indirection[block] = len(cells)
+            cells.append(cell)
+    stacked = np.stack(cells) if cells else np.zeros((0, *(CELL_VOXELS,) * 3, values.shape[-1]), np.uint8)
+    return Snerg(shape=shape, indirection=indirection, cells=stacked, network=network, **settings)  # type: ignore[arg-type]
+
+
+def make_snerg(
+    shape: tuple[int, int, int] = (74, 65, 95),
+    diffuse: bool = False,
+    fog: bool = True,
+    angles: tuple[float, float, float] = (0, 0, 0),
+    centre: tuple[float, float, float] = (0, 0, 0),
+    size: float = 2.0,
+    near: float = 0.0,
+) -> Snerg:
+    """The scene of `volume` in a box turned by `angles`, around `centre`, `size` world units along its shortest axis."""
+    values = volume(shape, fog)
+    voxel_size = size / min(shape)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(angles)
+    pose[:3, 3] = np.array(centre) - pose[:3, :3] @ (np.array(shape) * voxel_size / 2)
+    return snerg_from_volume(
+        values[..., [0, 1, 2, 7]] if diffuse else values,
+        None if diffuse else random_network(),
+        grid_to_world=pose,
+        voxel_size=voxel_size,
+        view_rotation=rotation((0.3, -0.2, 0.9)),
+        near=near,
+        about={"source": "tests"},
+    )
+
+
+def empty_snerg(shape: tuple[int, int, int] = (40, 30, 20)) -> Snerg:
+    """A scene with nothing in it (hard case 57)."""
+    pose = np.eye(4)
+    return snerg_from_volume(np.zeros((*shape, 4), np.uint8), None, grid_to_world=pose, voxel_size=0.05)
+
+
+def looking(eye: tuple[float, float, float], target: tuple[float, float, float], roll: float = 0.0) -> np.ndarray:
+    """[4, 4] camera-to-world at `eye`, looking at `target`, z up, turned by `roll` radians about its axis."""
+    back = np.subtract(eye, target).astype(np.float64)
+    back /= np.linalg.norm(back)
+    up = np.array([0.0, 0, 1]) if abs(back[2]) < 0.999 else np.array([0.0, 1, 0])
+    right = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(back, right), back], axis=-1) @ rotation((0, 0, roll))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, eye
+    return pose
+
+
+def make_cameras(
+    centre: tuple[float, float, float] = (0, 0, 0), size: float = 2.0, width: int = 160, height: int = 120
+) -> tuple[Camera, ...]:
+    """One of each kind around a box of `size` at `centre`."""
+
+    def pose(offset: tuple[float, float, float], target: tuple[float, float, float] = (0, 0, 0), roll: float = 0.0) -> np.ndarray:
+        at = np.array(centre) + np.array(target) * size
+        return looking(tuple(np.array(centre) + np.array(offset) * size), tuple(at), roll)
+
+    w, h = width, height
+    return (
+        Camera(w, h, (1.1 * w, 1.1 * w), (w / 2, h / 2), pose((0.5, -2.1, 0.9)), name="Front"),
+        Camera(w, h, (1.3 * w, 1.2 * w), (0.3 * w, 0.72 * h), pose((1.9, 1.1, 0.4), roll=0.4), name="Shifted, rolled"),
+        Camera(w, h, (0.5 * w / size,) * 2, (0.55 * w, 0.45 * h), pose((-1.5, -1.6, 1.2)), "orthographic", "Parallel"),
+        Camera(w, h, (0.6 * w, 0.6 * w), (w / 2, h / 2), pose((0.05, -0.05, 0.1), (0.4, 0.3, 0.1)), name="Inside"),
+        Camera(h, w, (0.9 * w, 0.9 * w), (h / 2, w / 2), pose((0, 0, 2.2)), name="Top, portrait"),
+        Camera(w, h, (1.2 * w, 1.2 * w), (w / 2, h / 2), pose((0.4, -1.5, 0.3)), name="Near plane", near=1.45 * size),
+    )
