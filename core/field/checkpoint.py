@@ -1,0 +1,138 @@
+"""A field on disk: a folder with field.npz, which holds arrays and one JSON text, and no pickles."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..errors import SnergError
+from ..files import MARK, json_bytes, write_bytes
+from .encoding import HashGrid
+from .field import Field
+from .networks import Family, HashFamily, MlpFamily, ViewNetwork
+from .positional import Dense
+from .sampling import Domain
+
+FILE = "field.npz"
+FORMAT = "snerg-field"
+VERSION = 1
+MAX_BYTES = 2**31
+
+
+def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None = None) -> None:
+    """Write a field, whole or not at all; `state` is what training needs to go on. Raises SnergError naming a bad array."""
+    arrays = {f"params.{name}": array for name, array in flatten(field.params).items()}
+    if field.network is not None:
+        arrays |= {f"view.{k}": np.asarray(v) for k, v in field.network._asdict().items()}
+    arrays |= {"domain.centre": field.domain.centre, "domain.low": field.domain.low, "domain.high": field.domain.high}
+    if field.occupancy is not None:
+        arrays["occupancy"] = field.occupancy
+    if field.cameras:
+        arrays["cameras"] = np.stack([camera_row(c) for c in field.cameras])
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise SnergError(f"The field's {name} holds values that are not finite; nothing was written.")
+    about = {
+        "format": FORMAT,
+        "version": VERSION,
+        "family": {"kind": type(field.family).__name__, **asdict(field.family)},
+        "scale": field.domain.scale,
+        "spacing": field.spacing,
+        "dataset": field.dataset,
+        "cameras": [[c.projection, c.name] for c in field.cameras],
+        "about": field.about,
+    }
+    arrays["json"] = np.frombuffer(json_bytes(about), np.uint8)
+    arrays |= {f"state.{k}": v for k, v in (state or {}).items()}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    write_bytes(folder / MARK, b"Written by SNeRG for Blender.\n")
+    write_bytes(folder / FILE, buffer.getvalue())
+
+
+def is_field(path: Path) -> bool:
+    """Whether a folder looks like one that `write_field` wrote."""
+    return (path / FILE).is_file()
+
+
+def read_field(path: Path) -> Field:
+    """Read a field's folder. Raises SnergError when it is missing, cut short or not a field."""
+    return read_field_and_state(path)[0]
+
+
+def read_field_and_state(path: Path) -> tuple[Field, dict[str, np.ndarray]]:
+    """A field, and what `write_field` was given as its training state."""
+    file = path / FILE if path.is_dir() else path
+    if not file.is_file():
+        raise SnergError(f"There is no field at {path}; train one with 'snerg train', or import one with 'snerg import'.")
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise SnergError(f"{file} is larger than {MAX_BYTES >> 30} GiB; it cannot be a field.")
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        about = json.loads(arrays.pop("json").tobytes())
+        if about["format"] != FORMAT or about["version"] != VERSION:
+            raise SnergError(f"{file} has format {about['format']} {about['version']}; this SNeRG reads {FORMAT} {VERSION}: update it.")
+        return _field(arrays, about), {k.removeprefix("state."): v for k, v in arrays.items() if k.startswith("state.")}
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise SnergError(f"{file} is damaged or cut short ({type(error).__name__}: {error}); train it again or copy it again.") from error
+
+
+def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
+    family = read_family(about["family"])
+    view = {k.removeprefix("view."): v for k, v in arrays.items() if k.startswith("view.")}
+    rows = arrays.get("cameras", np.zeros((0, 23)))
+    return Field(
+        family=family,
+        params=unflatten({k.removeprefix("params."): v for k, v in arrays.items() if k.startswith("params.")}, family),
+        network=ViewNetwork(**view) if view else None,
+        domain=Domain(arrays["domain.centre"], float(about["scale"]), arrays["domain.low"], arrays["domain.high"]),
+        occupancy=arrays.get("occupancy"),
+        spacing=float(about["spacing"]),
+        cameras=tuple(row_camera(row, *names) for row, names in zip(rows, about["cameras"], strict=True)),
+        dataset=str(about["dataset"]),
+        about=dict(about["about"]),
+    )
+
+
+def read_family(value: dict[str, Any]) -> Family:
+    """From asdict of a family and its class's name."""
+    value = dict(value)
+    kind = value.pop("kind")
+    if kind == HashFamily.__name__:
+        return HashFamily(**{**value, "grid": HashGrid(**value["grid"])})
+    if kind == MlpFamily.__name__:
+        return MlpFamily(**value)
+    raise ValueError(f"family {kind}")
+
+
+def flatten(params: Any) -> dict[str, np.ndarray]:
+    """A field's parameters as named arrays: a dict of them, or the layers of a trunk."""
+    if isinstance(params, dict):
+        return {k: np.asarray(v) for k, v in params.items()}
+    return {f"{i:02d}.{k}": np.asarray(v) for i, layer in enumerate(params) for k, v in layer._asdict().items()}
+
+
+def unflatten(arrays: dict[str, np.ndarray], family: Family) -> Any:
+    """Undo `flatten`."""
+    if isinstance(family, HashFamily):
+        return arrays
+    return tuple(Dense(arrays[f"{i:02d}.kernel"], arrays[f"{i:02d}.bias"]) for i in range(len(arrays) // 2))
+
+
+def camera_row(camera: Camera) -> np.ndarray:
+    """[23] float64: size, focal, centre, near, pose."""
+    return np.array([camera.width, camera.height, *camera.focal, *camera.centre, camera.near, *camera.camera_to_world.ravel()])
+
+
+def row_camera(row: np.ndarray, projection: str, name: str) -> Camera:
+    """Undo `camera_row`."""
+    focal, centre = (float(row[2]), float(row[3])), (float(row[4]), float(row[5]))
+    return Camera(int(row[0]), int(row[1]), focal, centre, row[7:].reshape(4, 4), projection, name, float(row[6]))
