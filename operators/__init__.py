@@ -1,0 +1,24 @@
+"""Blender's verbs: one file a verb, each of them thin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def classes() -> tuple[type[Any], ...]:
+    """Every operator, for registration; imported here so that the package itself imports without Blender."""
+    from . import add_box, bake, cancel, export_scene, export_web, import_field, import_scene, open_folder, preview, render_dataset, train
+
+    return (
+        render_dataset.SNERG_OT_render_dataset,
+        train.SNERG_OT_train,
+        import_field.SNERG_OT_import_field,
+        import_scene.SNERG_OT_import_scene,
+        add_box.SNERG_OT_add_box,
+        bake.SNERG_OT_bake,
+        preview.SNERG_OT_preview,
+        export_scene.SNERG_OT_export_scene,
+        export_web.SNERG_OT_export_web,
+        cancel.SNERG_OT_cancel,
+        open_folder.SNERG_OT_open_folder,
+    )

@@ -1,0 +1,64 @@
+"""The box that the artist drags."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.grid.box import Box
+from ..snerg_addon.bridge import set_box
+from ..snerg_addon.capture import evaluated
+
+NAME = "SNeRG Box"
+MARGIN = 1.05
+SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "CURVES", "POINTCLOUD"}
+
+
+class SNERG_OT_add_box(bpy.types.Operator):
+    """Add the box to bake, fitted round the selected objects, or round everything that renders when none is selected"""
+
+    bl_idname = "snerg.add_box"
+    bl_label = "Add Box"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """An object can only be added in Object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Return to Object Mode first")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Make the empty, choose it, and make it the scene's box."""
+        box = fitted_box(context)
+        empty = bpy.data.objects.new(NAME, None)
+        context.scene.collection.objects.link(empty)
+        set_box(empty, box)
+        empty.show_name = True
+        for thing in context.selected_objects:
+            thing.select_set(False)
+        empty.select_set(True)
+        context.view_layer.objects.active = empty
+        context.scene.snerg.box = empty
+        return {"FINISHED"}
+
+
+def fitted_box(context: bpy.types.Context) -> Box:
+    """Round the selected solid objects, else round all that render, else one of 2 units at the 3D cursor."""
+    solid = [thing for thing in context.scene.objects if thing.type in SOLID and not thing.hide_render]
+    chosen = [thing for thing in solid if thing.select_get()] or solid
+    if not chosen:
+        cursor = np.array(context.scene.cursor.location)
+        return Box.axis_aligned(cursor - 1, cursor + 1)
+    depsgraph = evaluated(context.scene)
+    corners = np.concatenate([bound_corners(thing.evaluated_get(depsgraph)) for thing in chosen])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    half = np.maximum((high - low) / 2 * MARGIN, 1e-3 * max(float((high - low).max()), 1e-3))
+    return Box.axis_aligned((low + high) / 2 - half, (low + high) / 2 + half)
+
+
+def bound_corners(thing: bpy.types.Object) -> np.ndarray:
+    """[8, 3] world positions of an evaluated object's bounding box."""
+    matrix = np.array(thing.matrix_world, np.float64)
+    return np.array([list(corner) for corner in thing.bound_box], np.float64) @ matrix[:3, :3].T + matrix[:3, 3]

@@ -1,0 +1,51 @@
+"""Field and box to baked scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.errors import SnergError
+from ..core.files import json_bytes, write_bytes
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.bridge import box_from_blender
+from ..snerg_addon.capture import evaluated
+from ..snerg_addon.project import Project, project_of, remember
+from .job_runner import LongVerb
+
+
+class SNERG_OT_bake(LongVerb, bpy.types.Operator):
+    """Bake the field inside the box into a sparse grid that renders in real time, in a process of its own"""
+
+    bl_idname = "snerg.bake"
+    bl_label = "Bake"
+    bl_options = {"REGISTER"}
+    step, label = "bake", "Baking"
+
+    @classmethod
+    def can_run(cls, context: bpy.types.Context) -> bool:
+        """There must be a field to bake."""
+        if not project_of(context.scene).has("field"):
+            cls.poll_message_set("There is no field; train or import one")
+            return False
+        return True
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
+        settings = context.scene.snerg
+        if not project.has("field"):
+            raise SnergError(f"There is no field in {project.field}; train or import one first.")
+        arguments = ["bake", str(project.field), "--out", str(project.scene)]
+        arguments += ["--resolution", str(settings.resolution), "--samples", str(settings.samples)]
+        if settings.box:
+            box = box_from_blender(settings.box, evaluated(context.scene))
+            write_bytes(project.box, json_bytes(box.to_json()))
+            arguments += ["--box", str(project.box)]
+        return start_verb(arguments if settings.refine else [*arguments, "--no-refine"])
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Note what it came to."""
+        remember(project, "scene", project.scene, result)
+        return f"Baked the scene into {project.scene}"

@@ -1,0 +1,43 @@
+"""Baked scene to the reference PNG layout."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.project import Project, project_of, remember
+from .job_runner import LongVerb
+
+
+def needs_scene(cls: type[Any], context: bpy.types.Context) -> bool:
+    """Poll of what works on a baked scene."""
+    if not project_of(context.scene).has("scene"):
+        cls.poll_message_set("There is no baked scene; bake or import one")
+        return False
+    return True
+
+
+class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
+    """Write the baked scene in the PNG layout of the published SNeRG code, which its own viewer opens"""
+
+    bl_idname = "snerg.export_scene"
+    bl_label = "Export Scene"
+    bl_options = {"REGISTER"}
+    step, label = "export", "Exporting the scene"
+
+    @classmethod
+    def can_run(cls, context: bpy.types.Context) -> bool:
+        """There must be a baked scene."""
+        return needs_scene(cls, context)
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`export` of the command line."""
+        return start_verb(["export", str(project.scene), "--out", str(project.reference)])
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Note what it came to."""
+        remember(project, "reference", project.reference, result)
+        return f"Exported the scene to {project.reference}"

@@ -1,0 +1,43 @@
+"""Baked scene to web page."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.capture.readers.transforms import write_transforms
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.capture import core_cameras
+from ..snerg_addon.project import Project, remember
+from .export_scene import needs_scene
+from .job_runner import LongVerb
+from .render_dataset import scene_cameras
+
+
+class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
+    """Write a web page that shows the baked scene in any browser, with the scene's cameras to jump to"""
+
+    bl_idname = "snerg.export_web"
+    bl_label = "Export Web Page"
+    bl_options = {"REGISTER"}
+    step, label = "export", "Exporting the web page"
+
+    @classmethod
+    def can_run(cls, context: bpy.types.Context) -> bool:
+        """There must be a baked scene."""
+        return needs_scene(cls, context)
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`bundle` of the command line, with the cameras as they stand now."""
+        settings = context.scene.snerg
+        cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
+        write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
+        arguments = ["bundle", str(project.scene), "--out", str(project.web), "--cameras", str(project.cameras)]
+        return start_verb([*arguments, "--single-file"] if settings.single_file else arguments)
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Note what it came to."""
+        remember(project, "web", project.web, result)
+        return f"Exported the web page to {project.web}"

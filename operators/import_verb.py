@@ -1,0 +1,53 @@
+"""What importing a field and importing a scene have in common."""
+
+# ruff: noqa: F722, F821
+# mypy: disable-error-code="valid-type"
+# Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
+
+from typing import Any, ClassVar
+
+import bpy
+
+from ..core.errors import SnergError
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.project import Project, remember
+from .job_runner import LongVerb
+
+
+class ImportVerb(LongVerb):
+    """key: the step of the project that the import fills. what: its name in a sentence."""
+
+    key: ClassVar[str]
+    what: ClassVar[str]
+
+    filepath: bpy.props.StringProperty(
+        name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE"}
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the path first, where there is a window to ask in."""
+        if self.filepath or bpy.app.background or context.window is None:
+            return super().invoke(context, event)
+        self._asked = True
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Wait, unless the path comes from the file browser: then start again with the path, beside everything else."""
+        if getattr(self, "_asked", False):
+            verb = getattr(bpy.ops.snerg, f"import_{self.key}")
+            return set(verb("INVOKE_DEFAULT", filepath=self.filepath))
+        return super().execute(context)
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`import` of the command line."""
+        if not self.filepath:
+            raise SnergError(f"No path was given; choose the {self.what} to import.")
+        return start_verb(["import", bpy.path.abspath(self.filepath), "--out", str(getattr(project, self.key))])
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Note what it came to."""
+        folder = getattr(project, self.key)
+        remember(project, self.key, folder, result)
+        return f"Imported the {self.what} into {folder}"

@@ -1,0 +1,149 @@
+"""The one place where Blender's objects become core's dataclasses, and core's arrays become Blender's images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core.capture.camera import Camera
+from ..core.capture.images import to_uint8
+from ..core.errors import SnergError
+from ..core.grid.box import Box
+
+SENSOR = 36.0  # mm across the picture, of cameras that we make
+PREVIEW = "SNeRG Preview"
+
+
+def resolution(scene: bpy.types.Scene) -> tuple[int, int]:
+    """(width, height) in pixels that a render of the scene has, percentage included."""
+    render = scene.render
+    return max(1, render.resolution_x * render.resolution_percentage // 100), max(
+        1, render.resolution_y * render.resolution_percentage // 100
+    )
+
+
+def camera_from_blender(
+    camera: bpy.types.Object, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None = None
+) -> Camera:
+    """The camera as Blender itself projects: every sensor fit, shift and pixel aspect (hard cases 1, 2, 3).
+
+    size: (width, height) pixels, by default the scene's. Raises SnergError that names a camera which is
+    neither perspective nor orthographic, or has an impossible pose.
+    """
+    if camera.type != "CAMERA":
+        raise SnergError(f"{camera.name!r} is not a camera; choose a camera.")
+    kind = camera.data.type
+    if kind not in ("PERSP", "ORTHO"):
+        raise SnergError(f"The camera {camera.name!r} is {kind.lower()}; only perspective and orthographic cameras can be used.")
+    width, height = size or resolution(scene)
+    evaluated = camera.evaluated_get(depsgraph)
+    projection = np.array(
+        evaluated.calc_matrix_camera(
+            depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
+        ),
+        np.float64,
+    )
+    # Perspective: x_ndc = P00 x / -z - P02. Orthographic: x_ndc = P00 x + P03.
+    offset_x, offset_y = (-projection[0, 2], -projection[1, 2]) if kind == "PERSP" else (projection[0, 3], projection[1, 3])
+    return Camera(
+        width=width,
+        height=height,
+        focal=(float(projection[0, 0]) * width / 2, float(projection[1, 1]) * height / 2),
+        centre=(width / 2 * (1 + float(offset_x)), height / 2 * (1 - float(offset_y))),
+        camera_to_world=np.array(evaluated.matrix_world, np.float64),
+        projection="perspective" if kind == "PERSP" else "orthographic",
+        name=camera.name,
+        near=float(evaluated.data.clip_start),
+    )
+
+
+def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene | None = None) -> None:
+    """Make a Blender camera see what `source` sees; `scene`, if given, takes its size and pixel aspect.
+
+    Without the scene's pixel aspect, pixels that are not square would come out square.
+    """
+    data, (width, height) = camera.data, (source.width, source.height)
+    aspect = source.focal[0] / source.focal[1]  # of a pixel: its height over its width
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR
+    if source.projection == "orthographic":
+        data.type, data.ortho_scale = "ORTHO", width / source.focal[0]
+    else:
+        data.type, data.lens_unit, data.lens = "PERSP", "MILLIMETERS", source.focal[0] * SENSOR / width
+    data.shift_x = 0.5 - source.centre[0] / width
+    data.shift_y = (source.centre[1] - height / 2) * aspect / width
+    if source.near > 0:
+        data.clip_start = source.near
+    camera.matrix_world = Matrix(source.camera_to_world.tolist())
+    if scene is not None:
+        render = scene.render
+        render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+        render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
+
+
+@contextmanager
+def temporary_camera() -> Iterator[bpy.types.Object]:
+    """A camera object in no scene, taken away at the end."""
+    data = bpy.data.cameras.new("SNeRG Rig")
+    camera = bpy.data.objects.new("SNeRG Rig", data)
+    try:
+        yield camera
+    finally:
+        bpy.data.objects.remove(camera)
+        bpy.data.cameras.remove(data)
+
+
+def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None = None) -> Box:
+    """The box that a cube empty shows: half a side is its display size times its scale.
+
+    Raises SnergError when there is none, it is not an empty, or it has no volume.
+    """
+    if empty is None:
+        raise SnergError("There is no box; add one with Add Box, or choose an empty under Box.")
+    if empty.type != "EMPTY":
+        raise SnergError(f"The box {empty.name!r} is not an empty; choose an empty, or add one with Add Box.")
+    matrix = np.array((empty.evaluated_get(depsgraph) if depsgraph else empty).matrix_world, np.float64)
+    try:
+        return Box.from_matrix(matrix @ np.diag([*[empty.empty_display_size] * 3, 1]))
+    except SnergError as error:
+        raise SnergError(f"{empty.name}: {error}") from error
+
+
+def set_box(empty: bpy.types.Object, box: Box) -> None:
+    """Make a cube empty show a box."""
+    empty.empty_display_type, empty.empty_display_size = "CUBE", 1.0
+    empty.matrix_world = Matrix((box.box_to_world @ np.diag([*(box.size / 2), 1])).tolist())
+
+
+def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
+    """Show [H, W, 3 or 4] display-referred values in [0, 1], straight alpha, top row first, as a Blender image.
+
+    An 8-bit sRGB image: Blender shows such values unchanged, whatever the scene's view transform is, and what is
+    saved from it is what was seen. An image of that name is reused, so that editors showing it go on showing it.
+    """
+    height, width = pixels.shape[:2]
+    image = _byte_image(name, width, height)
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., : pixels.shape[2]] = to_uint8(pixels).astype(np.float32) / 255
+    image.pixels.foreach_set(rgba[::-1].ravel())  # Blender's bottom row comes first
+    image.update()
+    image.pack()  # else it would be lost with the session, and Blender would ask about it on quitting
+    return image
+
+
+def _byte_image(name: str, width: int, height: int) -> Any:
+    image = bpy.data.images.get(name)
+    if image is not None and (image.is_float or image.source not in ("GENERATED", "FILE")):
+        image.name = f"{name} (old)"  # somebody's own image of that name stays theirs
+        image = None
+    if image is None:
+        image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False)
+    elif tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image.colorspace_settings.name = "sRGB"
+    image.alpha_mode = "STRAIGHT"
+    return image

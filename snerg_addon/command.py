@@ -1,0 +1,12 @@
+"""`blender --command snerg VERB ...`: the same command line as outside Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run a verb with Blender's own Python and return the exit code."""
+    from ..core import cli
+
+    return cli.main(list(arguments))

@@ -1,0 +1,278 @@
+"""The sidebar of the 3D view: one panel a step, each saying what is there and what to do."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import bpy
+
+from . import activity
+from .bridge import PREVIEW, resolution
+from .project import Project, is_temporary, project_of
+
+
+class _Sidebar:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "SNeRG"
+
+
+class SNERG_PT_main(_Sidebar, bpy.types.Panel):
+    """The project, and what is under way"""
+
+    bl_label = "SNeRG"
+    bl_idname = "SNERG_PT_main"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Progress while something runs, else what to do next."""
+        layout, scene = self.layout, context.scene
+        row = layout.row(align=True)
+        row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER")
+        row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
+        if is_temporary(scene):
+            layout.label(text="Save the .blend to keep your work", icon="ERROR")
+        busy = activity.current()
+        if busy is None:
+            layout.label(text=next_step(scene), icon="FORWARD")
+        else:
+            draw_progress(layout, busy)
+
+
+def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
+    """A bar with the message, and the button that stops it."""
+    work = busy.work
+    column = layout.column(align=True)
+    column.label(text=busy.label, icon="SORTTIME")
+    row = column.row(align=True)
+    row.progress(factor=work.fraction, text=work.message or f"{work.fraction:.0%}")
+    stop = row.row(align=True)
+    stop.enabled = not work.cancelling
+    stop.operator("snerg.cancel", text="", icon="CANCEL")
+
+
+def next_step(scene: bpy.types.Scene) -> str:
+    """What the artist does next, in a few words."""
+    project = project_of(scene)
+    if not project.has("scene"):
+        if not project.has("field"):
+            return "Next: train a field" if project.has("dataset") else "Next: render a dataset"
+        return "Next: bake" if scene.snerg.box else "Next: add a box, then bake"
+    if bpy.data.images.get(PREVIEW) is None:
+        return "Next: preview or export"
+    return "Next: export the web page" if not project.has("web") else "All steps are done"
+
+
+class _Step(_Sidebar):
+    """A sub-panel. done: the project's step whose presence ticks it."""
+
+    bl_parent_id = "SNERG_PT_main"
+    done: ClassVar[str] = ""
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        return project_of(context.scene).has(self.done)
+
+    def draw_header(self: Any, context: bpy.types.Context) -> None:
+        self.layout.label(text="", icon="CHECKMARK" if self.is_done(context) else "RADIOBUT_OFF")
+
+    def draw(self: Any, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        self.draw_step(layout, context.scene.snerg, context)
+
+
+def facts(layout: bpy.types.UILayout, *lines: str) -> None:
+    """What is known of a step's result, small and set off."""
+    lines = tuple(line for line in lines if line)
+    if lines:
+        column = layout.box().column(align=True)
+        for line in lines:
+            column.label(text=line)
+
+
+def megabytes(note: dict[str, Any]) -> str:
+    """'12.3 MB', or nothing when the size is not known."""
+    size = note.get("bytes")
+    return f"{size / 1e6:.1f} MB" if isinstance(size, int | float) else ""
+
+
+def decibels(note: dict[str, Any], key: str = "psnr") -> str:
+    """'31.2 dB', or nothing when the quality is not known."""
+    value = note.get(key)
+    return f"{value:.1f} dB" if isinstance(value, int | float) else ""
+
+
+def joined(*parts: str) -> str:
+    """The parts that say something, with commas."""
+    return ", ".join(part for part in parts if part)
+
+
+class SNERG_PT_dataset(_Step, bpy.types.Panel):
+    """Photographs to learn from"""
+
+    bl_label = "Dataset"
+    bl_idname = "SNERG_PT_dataset"
+    done = "dataset"
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """Cameras, what is rendered, and a folder of one's own."""
+        layout.row().prop(settings, "cameras", expand=True)
+        column = layout.column(align=True)
+        if settings.cameras == "RIG":
+            column.prop(settings, "rig_count")
+            column.prop(settings, "rig_shape")
+            column.prop(settings, "rig_angle")
+            column.prop(settings, "rig_distance")
+            if settings.box is None:
+                column.label(text="The rig needs a box", icon="INFO")
+        column.prop(settings, "test_every")
+        layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
+        layout.operator("snerg.render_dataset", icon="RENDER_STILL")
+        layout.prop(settings, "dataset", text="Or Use")
+        note = project_of(context.scene).notes().get("dataset", {})
+        if note and not settings.dataset:
+            facts(layout, f"{note.get('train')} + {note.get('test')} test views, {note.get('width')} x {note.get('height')} px", megabytes(note))
+
+
+def camera_count(context: bpy.types.Context) -> str:
+    """How many views there will be."""
+    settings = context.scene.snerg
+    if settings.cameras == "RIG":
+        count = settings.rig_count
+    else:
+        cameras = [thing for thing in context.scene.objects if thing.type == "CAMERA"]
+        count = len(cameras) if settings.cameras == "ALL" else sum(camera.select_get() for camera in cameras)
+    return "1 camera" if count == 1 else f"{count} cameras"
+
+
+class SNERG_PT_field(_Step, bpy.types.Panel):
+    """The radiance field"""
+
+    bl_label = "Field"
+    bl_idname = "SNERG_PT_field"
+    done = "field"
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """How long, and how good it is."""
+        project = project_of(context.scene)
+        layout.prop(settings, "preset")
+        column = layout.column(align=True)
+        time = column.row(align=True)
+        time.active = settings.steps == 0
+        time.prop(settings, "minutes")
+        column.prop(settings, "steps")
+        column.prop(settings, "seed")
+        text = "Continue Training" if project.has("field") else "Train Field"
+        layout.operator("snerg.train", icon="PLAY", text=text)
+        layout.operator("snerg.import_field", icon="IMPORT")
+        note = project.notes().get("field", {})
+        if project.has("field"):
+            facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there")
+
+
+def steps_text(note: dict[str, Any]) -> str:
+    """'4200 steps'"""
+    steps = note.get("steps")
+    return f"{steps} steps" if isinstance(steps, int) else ""
+
+
+class SNERG_PT_box(_Step, bpy.types.Panel):
+    """What is baked"""
+
+    bl_label = "Box"
+    bl_idname = "SNERG_PT_box"
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        """A box is chosen."""
+        return context.scene.snerg.box is not None
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """Choose or add one; move it like any object."""
+        layout.prop(settings, "box", icon="EMPTY_AXIS")
+        layout.operator("snerg.add_box", icon="CUBE")
+        if settings.box:
+            size = [2 * abs(s) * settings.box.empty_display_size for s in settings.box.matrix_world.to_scale()]
+            unit = context.scene.unit_settings
+            texts = [bpy.utils.units.to_string(unit.system, "LENGTH", s * unit.scale_length, precision=3) for s in size]
+            facts(layout, " x ".join(texts), "Move, turn and scale it in the view")
+
+
+class SNERG_PT_bake(_Step, bpy.types.Panel):
+    """The baked scene"""
+
+    bl_label = "Bake"
+    bl_idname = "SNERG_PT_bake"
+    done = "scene"
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """How fine, and how large it came out."""
+        project = project_of(context.scene)
+        column = layout.column(align=True)
+        column.prop(settings, "resolution")
+        column.prop(settings, "samples")
+        layout.prop(settings, "refine")
+        layout.operator("snerg.bake", icon="RENDER_STILL")
+        layout.operator("snerg.import_scene", icon="IMPORT")
+        note = project.notes().get("scene", {})
+        if project.has("scene"):
+            blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
+            facts(layout, joined(decibels(note), blocks, megabytes(note)) or "A baked scene is there")
+
+
+class SNERG_PT_preview(_Step, bpy.types.Panel):
+    """The baked scene in Blender"""
+
+    bl_label = "Preview"
+    bl_idname = "SNERG_PT_preview"
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        """There is a picture."""
+        return PREVIEW in bpy.data.images
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """From the active camera."""
+        layout.prop(context.scene, "camera")
+        row = layout.row()
+        row.active = not settings.transparent
+        row.prop(settings, "background")
+        layout.prop(settings, "transparent")
+        layout.operator("snerg.preview", icon="IMAGE_DATA")
+        if self.is_done(context):
+            width, height = bpy.data.images[PREVIEW].size
+            facts(layout, f"{width} x {height} px in the image {PREVIEW!r}")
+
+
+class SNERG_PT_export(_Step, bpy.types.Panel):
+    """The baked scene elsewhere"""
+
+    bl_label = "Export"
+    bl_idname = "SNERG_PT_export"
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        """Either export is there."""
+        project: Project = project_of(context.scene)
+        return project.has("web") or project.has("reference")
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """A page for everyone, and files for other tools."""
+        notes = project_of(context.scene).notes()
+        layout.prop(settings, "web_cameras")
+        layout.prop(settings, "single_file")
+        layout.operator("snerg.export_web", icon="URL")
+        layout.operator("snerg.export_scene", icon="EXPORT")
+        facts(
+            layout,
+            joined("Web page", megabytes(notes["web"])) if "web" in notes else "",
+            joined("Scene files", megabytes(notes["reference"])) if "reference" in notes else "",
+        )
+
+
+CLASSES = (
+    SNERG_PT_main,
+    SNERG_PT_dataset,
+    SNERG_PT_field,
+    SNERG_PT_box,
+    SNERG_PT_bake,
+    SNERG_PT_preview,
+    SNERG_PT_export,
+)

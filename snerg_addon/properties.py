@@ -1,0 +1,160 @@
+"""What the artist sets, one group on the scene. Blender reads these annotations as values, hence no postponed evaluation here."""
+
+# ruff: noqa: F722, F821
+# mypy: disable-error-code="valid-type"
+
+import math
+from typing import Any
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
+
+
+def _is_empty(_settings: Any, thing: bpy.types.Object) -> bool:
+    return bool(thing.type == "EMPTY")
+
+
+class SNERG_PG_scene(bpy.types.PropertyGroup):
+    """SNeRG's settings for this scene"""
+
+    folder: StringProperty(
+        name="Project Folder",
+        description="Where the dataset, the field, the baked scene and the exports go. Beside the .blend file by default",
+        subtype="DIR_PATH",
+        default="//snerg",
+    )
+    dataset: StringProperty(
+        name="Dataset",
+        description="A folder with transforms_train.json and its images to train on. Empty: the one rendered into the project folder",
+        subtype="DIR_PATH",
+        default="",
+    )
+
+    cameras: EnumProperty(
+        name="Cameras",
+        description="Where the views are rendered from",
+        items=[
+            ("ALL", "All", "Every camera of the scene"),
+            ("SELECTED", "Selected", "The selected cameras"),
+            ("RIG", "Rig", "Cameras spread evenly round the box, with the scene's resolution"),
+        ],
+        default="ALL",
+    )
+    test_every: IntProperty(
+        name="Hold Out Every",
+        description="Every n-th camera is kept out of training, to measure the quality on. 0 keeps none out",
+        default=8,
+        min=0,
+        soft_max=20,
+    )
+    rig_count: IntProperty(name="Cameras", description="How many cameras the rig has", default=100, min=1, soft_max=500)
+    rig_shape: EnumProperty(
+        name="Shape",
+        description="Where the rig's cameras stand",
+        items=[
+            ("HEMISPHERE", "Hemisphere", "Above the middle of the box: for things that stand on the ground"),
+            ("SPHERE", "Sphere", "All round the box"),
+        ],
+        default="HEMISPHERE",
+    )
+    rig_angle: FloatProperty(
+        name="Field of View",
+        description="Field of view of the rig's cameras across the shorter side of the picture",
+        subtype="ANGLE",
+        default=math.radians(40),
+        min=math.radians(1),
+        max=math.radians(150),
+    )
+    rig_distance: FloatProperty(
+        name="Distance",
+        description="From the middle of the box to the rig's cameras. 0: so that the whole box just fits into the picture",
+        subtype="DISTANCE",
+        default=0.0,
+        min=0.0,
+    )
+
+    preset: EnumProperty(
+        name="Preset",
+        description="The kind of field to train",
+        items=[
+            ("fast", "Fast", "A hash grid with a small network: good in minutes on a CPU"),
+            ("paper", "Paper", "The large network of the paper: hours, and best on a GPU"),
+        ],
+        default="fast",
+    )
+    minutes: FloatProperty(
+        name="Minutes",
+        description="How long to train. Training again continues from where it stopped",
+        default=5.0,
+        min=0.05,
+        soft_max=60.0,
+        precision=1,
+        step=50,
+    )
+    steps: IntProperty(
+        name="Steps",
+        description="Train this many steps instead of a time, so that the result can be repeated exactly. 0: go by the minutes",
+        default=0,
+        min=0,
+        soft_max=100000,
+    )
+    seed: IntProperty(name="Seed", description="Of everything random in training: the same seed gives the same field", default=0, min=0)
+
+    box: PointerProperty(
+        name="Box",
+        description="The empty whose cube is baked. Only what is inside becomes part of the baked scene",
+        type=bpy.types.Object,
+        poll=_is_empty,
+    )
+
+    resolution: IntProperty(
+        name="Voxels",
+        description="Voxels along the longest side of the box. Twice as many show details half the size and take about eight times the memory",
+        default=256,
+        min=8,
+        max=2048,
+        soft_min=64,
+        soft_max=800,
+    )
+    samples: IntProperty(
+        name="Samples",
+        description="Samples of the field in each voxel. More give smoother edges and take longer",
+        default=4,
+        min=1,
+        soft_max=64,
+    )
+    refine: BoolProperty(
+        name="Refine Highlights",
+        description="Afterwards train the view-dependence network on the baked scene, so that highlights match the photographs again",
+        default=True,
+    )
+
+    transparent: BoolProperty(name="Transparent", description="Leave the preview's background transparent", default=False)
+    background: FloatVectorProperty(
+        name="Background",
+        description="What shows behind the baked scene in the preview",
+        subtype="COLOR_GAMMA",
+        size=3,
+        default=(1.0, 1.0, 1.0),
+        min=0.0,
+        max=1.0,
+    )
+
+    web_cameras: EnumProperty(
+        name="Cameras",
+        description="The cameras that the web page lists to jump to",
+        items=[
+            ("ACTIVE", "Active", "The scene's active camera"),
+            ("SELECTED", "Selected", "The selected cameras"),
+            ("ALL", "All", "Every camera of the scene"),
+        ],
+        default="ACTIVE",
+    )
+    single_file: BoolProperty(
+        name="One File",
+        description="Write one .html file that opens straight from the disk, instead of a folder for a web server",
+        default=False,
+    )
+
+
+CLASSES = (SNERG_PG_scene,)

@@ -1,0 +1,31 @@
+"""What is registered with Blender, in order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from .. import operators
+from . import activity, command, panels, properties
+
+CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES)
+_commands: list[Any] = []
+
+
+def register() -> None:
+    """Register every class, then what refers to them."""
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
+    _commands.append(bpy.utils.register_cli_command("snerg", command.run))
+
+
+def unregister() -> None:
+    """Stop what runs, then take everything back in reverse."""
+    activity.stop()
+    while _commands:
+        bpy.utils.unregister_cli_command(_commands.pop())
+    del bpy.types.Scene.snerg
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
