@@ -1,0 +1,129 @@
+"""What the published web viewer shows of a scene in the reference layout, restated with NumPy from its rules.
+
+Reads the files itself and shares nothing with core, so that a mistake made twice there does not agree with itself here.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+BLOCK, CELL, EMPTY = 30, 32, 254
+
+
+class PublishedViewer:
+    """A scene folder as the viewer holds it: 3D textures [X, Y, Z, C] in [0, 1], the index, the numbers."""
+
+    def __init__(self, folder: Path) -> None:
+        self.params = p = json.loads((folder / "scene_params.json").read_text())
+        self.grid = np.array([p["grid_width"], p["grid_height"], p["grid_depth"]])
+        self.atlas_size = np.array([p["atlas_width"], p["atlas_height"], p["atlas_depth"]])
+        self.low = np.array([p["min_x"], p["min_y"], p["min_z"]])
+        self.voxel = p["voxel_size"]
+        self.view = np.array(p["worldspace_T_opengl"])[:3, :3]
+        rgba = self.texture(folder, "rgba")
+        self.rgb, self.alpha = rgba[..., :3], rgba[..., 3]
+        self.diffuse = "0_bias" not in p
+        self.features = None if self.diffuse else self.texture(folder, "feature")
+        blocks = -(-self.grid // p["block_size"])
+        pixels = np.asarray(Image.open(folder / "atlas_indices.png"))
+        assert pixels.dtype == np.uint8 and pixels.shape == (blocks[2] * blocks[1], blocks[0], 3)
+        self.index = pixels.reshape(blocks[2], blocks[1], blocks[0], 3).transpose(2, 1, 0, 3).astype(int)
+        mip = np.rint(self.alpha * 255)
+        for _ in range(2):
+            x, y, z = (n // 2 for n in mip.shape)
+            mip = np.rint(mip.reshape(x, 2, y, 2, z, 2).mean(axis=(1, 3, 5)))
+        self.mip = mip
+
+    def texture(self, folder: Path, name: str) -> np.ndarray:
+        """The viewer indexes four bytes a pixel and uploads row by row."""
+        width, height, depth = self.atlas_size
+        planes = []
+        for number in range(self.params["num_slices"]):
+            image = Image.open(folder / f"{name}_{number:03d}.png")
+            assert image.mode == "RGBA"
+            planes.append(np.asarray(image).reshape(4, height, width, 4))
+        assert sum(map(len, planes)) == depth
+        return np.concatenate(planes).transpose(2, 1, 0, 3) / 255
+
+    def show(self, camera_to_viewer: np.ndarray, size: tuple[int, int], fov_degrees: float, near: float = 0.33) -> np.ndarray:
+        """[H, W, 3] in [0, 1] from a camera in the viewer's own world: OpenGL pose [4, 4], (width, height), vertical field of view."""
+        width, height = size
+        scale = np.tan(np.radians(fov_degrees) / 2)
+        row, column = np.mgrid[0:height, 0:width]
+        x = (2 * (column + 0.5) / width - 1) * scale * width / height
+        y = (1 - 2 * (row + 0.5) / height) * scale
+        local = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3)
+        rays = local @ camera_to_viewer[:3, :3].T
+        start = camera_to_viewer[:3, 3] + near * rays  # on the near plane
+        directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        return self.march(start, directions, near).reshape(height, width, 3)
+
+    def march(self, origins: np.ndarray, directions: np.ndarray, near: float) -> np.ndarray:
+        origin = (origins - self.low) / self.voxel
+        enters, leaves = slab(origin, directions, np.zeros(3), self.grid)
+        t = np.maximum(near / self.voxel, enters) + 0.5
+        count = len(origin)
+        colour, features, through = np.zeros((count, 3)), np.zeros((count, 4)), np.ones(count)
+        live = np.flatnonzero(enters < leaves)
+        for _ in range(int(np.ceil(np.linalg.norm(self.grid)))):
+            live = live[(t[live] < leaves[live]) & (through[live] > 1 / 255)]
+            if not len(live):
+                break
+            position = origin[live] + t[live, None] * directions[live]
+            block = np.clip(np.floor(position / BLOCK).astype(int), 0, np.array(self.index.shape[:3]) - 1)
+            place = self.index[tuple(block.T)]
+            empty = place[:, 0] > EMPTY
+            _, exits = slab(origin[live[empty]], directions[live[empty]], BLOCK * block[empty], BLOCK * (block[empty] + 1))
+            t[live[empty]] = exits + 0.5
+            self.composite(live[~empty], position[~empty] - BLOCK * block[~empty], place[~empty], colour, features, through)
+            t[live[~empty]] += 1
+        result = colour + through[:, None]
+        if self.diffuse:
+            return np.clip(result, 0, 1)
+        seen = through <= 254 / 255
+        result[seen] += self.network(result[seen], features[seen], directions[seen] @ self.view.T)
+        return np.clip(result, 0, 1)
+
+    def composite(self, rays, local, place, colour, features, through) -> None:
+        position = CELL * place + 1 + local  # in texels of the atlas
+        keep = self.mip[tuple(np.floor(position / 4).astype(int).T)] > 0
+        rays, position = rays[keep], position[keep]
+        alpha = linear(self.alpha[..., None], position)[:, 0]
+        keep = alpha > 0.5 / 255
+        rays, position, alpha = rays[keep], position[keep], alpha[keep]
+        colour[rays] += through[rays, None] * linear(self.rgb, position)
+        if self.features is not None:
+            features[rays] += through[rays, None] * linear(self.features, position)
+        through[rays] *= 1 - alpha
+
+    def network(self, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        scaled = [2.0**k * directions for k in range(4)]
+        x = np.concatenate([directions, *(np.sin(s) for s in scaled), *(np.sin(s + np.pi / 2) for s in scaled), colour, features], axis=-1)
+        for layer in range(3):
+            x = x @ np.array(self.params[f"{layer}_weights"]) + np.array(self.params[f"{layer}_bias"])
+            x = np.maximum(x, 0) if layer < 2 else 1 / (1 + np.exp(-x))
+        return x
+
+
+def slab(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances at which rays enter and leave a box."""
+    with np.errstate(divide="ignore"):
+        inverse = 1 / direction
+    a, b = (low - origin) * inverse, (high - origin) * inverse
+    return np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+
+
+def linear(texture: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Trilinear look-up at texel coordinates [N, 3], clamped to the edge, texel centres at + 0.5."""
+    base = np.floor(position - 0.5).astype(int)
+    fraction = position - 0.5 - base
+    result = np.zeros((len(position), texture.shape[-1]))
+    for corner in np.ndindex(2, 2, 2):
+        at = np.clip(base + corner, 0, np.array(texture.shape[:3]) - 1)
+        weight = np.where(corner, fraction, 1 - fraction).prod(axis=-1)
+        result += weight[:, None] * texture[tuple(at.T)]
+    return result
