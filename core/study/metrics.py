@@ -1,0 +1,75 @@
+"""How near one picture is to another. NumPy alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..errors import SnergError
+
+WINDOW = 11  # taps of SSIM's Gaussian
+SIGMA = 1.5
+K1, K2 = 0.01, 0.03
+
+
+def mse(a: np.ndarray, b: np.ndarray) -> float:
+    """Mean squared error of two pictures [H, W, C] in [0, 1], computed in float64.
+
+    Raises SnergError when their shapes differ or a value is not finite.
+    """
+    if a.shape != b.shape:
+        raise SnergError(f"Pictures of {a.shape} and {b.shape} cannot be compared; render at the size of the dataset's images.")
+    error = float(((a.astype(np.float64) - b.astype(np.float64)) ** 2).mean())
+    if not math.isfinite(error):
+        raise SnergError("A picture to compare holds values that are not finite.")
+    return error
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    """Peak signal-to-noise ratio in dB of pictures in [0, 1]; infinite for identical ones (hard case 30)."""
+    return psnr_of(mse(a, b))
+
+
+def psnr_of(error: float) -> float:
+    """dB of a mean squared error."""
+    return -10 * math.log10(error) if error > 0 else math.inf
+
+
+def mean_psnr(errors: Iterable[float]) -> float:
+    """dB of the mean of the errors of several views, so that one perfect view does not make it infinite (hard case 30).
+
+    Raises SnergError when there are none.
+    """
+    values = list(errors)
+    if not values:
+        raise SnergError("There are no views to measure.")
+    return psnr_of(sum(values) / len(values))
+
+
+def ssim(a: np.ndarray, b: np.ndarray) -> float:
+    """Structural similarity (Wang et al. 2004) of pictures [H, W, C] in [0, 1], mean over pixels and channels.
+
+    An 11 x 11 Gaussian of sigma 1.5, only where it fits whole. Raises SnergError when the shapes differ or are under 11 pixels.
+    """
+    mse(a, b)
+    if min(a.shape[:2]) < WINDOW:
+        raise SnergError(f"SSIM needs pictures of {WINDOW} x {WINDOW} pixels or more, not {a.shape[1]} x {a.shape[0]}.")
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    mean_a, mean_b = blur(a), blur(b)
+    variance_a, variance_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
+    covariance = blur(a * b) - mean_a * mean_b
+    c1, c2 = K1**2, K2**2
+    likeness = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    return float((likeness / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))).mean())
+
+
+def blur(x: np.ndarray) -> np.ndarray:
+    """[H, W, C] convolved with the Gaussian where it fits: [H - 10, W - 10, C]."""
+    taps = np.exp(-0.5 * ((np.arange(WINDOW) - WINDOW // 2) / SIGMA) ** 2)
+    taps /= taps.sum()
+    for axis in (0, 1):
+        length = x.shape[axis] - WINDOW + 1
+        x = sum((tap * np.take(x, range(i, i + length), axis=axis) for i, tap in enumerate(taps)), np.float64(0))
+    return x

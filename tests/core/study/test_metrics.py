@@ -1,0 +1,66 @@
+"""PSNR and SSIM, against their definitions and scikit-image."""
+
+import math
+
+import numpy as np
+import pytest
+
+from snerg.core.errors import SnergError
+from snerg.core.study.metrics import mean_psnr, mse, psnr, ssim
+
+
+def pictures(seed: int, size=(40, 57, 3)) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[0 : size[0], 0 : size[1]]
+    a = (0.5 + 0.5 * np.sin(0.2 * x + 0.13 * y))[..., None] * random.uniform(0.2, 1, size[2])
+    return a.astype(np.float32), np.clip(a + random.normal(0, 0.08, size), 0, 1).astype(np.float32)
+
+
+def test_psnr_of_a_known_error():
+    a = np.full((4, 5, 3), 0.5)
+    assert psnr(a, a + 0.1) == pytest.approx(20)
+    assert mse(a, a - 0.1) == pytest.approx(0.01)
+
+
+@pytest.mark.hard_case(30)
+def test_identical_pictures():
+    a, b = pictures(0)
+    assert psnr(a, a) == math.inf and ssim(a, a) == pytest.approx(1)
+    # One perfect view among three: the errors are averaged, not the dB.
+    assert mean_psnr([0.0, 0.01, 0.02]) == pytest.approx(20)
+    assert mean_psnr([mse(a, b)]) == psnr(a, b)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ssim_equals_scikit_images(seed):
+    metrics = pytest.importorskip("skimage.metrics")
+    a, b = pictures(seed)
+    expected = metrics.structural_similarity(
+        a.astype(np.float64),
+        b.astype(np.float64),
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1,
+        channel_axis=-1,
+    )
+    assert ssim(a, b) == pytest.approx(expected, abs=4e-5)
+
+
+def test_ssim_is_symmetric_and_falls_with_noise():
+    a, b = pictures(5)
+    worse = np.clip(b + np.random.default_rng(6).normal(0, 0.2, b.shape), 0, 1)
+    assert ssim(a, b) == pytest.approx(ssim(b, a))
+    assert ssim(a, worse) < ssim(a, b) < 1
+
+
+def test_what_cannot_be_compared():
+    a, b = pictures(1)
+    with pytest.raises(SnergError, match="cannot be compared"):
+        psnr(a, b[:-1])
+    with pytest.raises(SnergError, match="finite"):
+        psnr(a, np.full_like(b, np.nan))
+    with pytest.raises(SnergError, match="11"):
+        ssim(a[:10], b[:10])
+    with pytest.raises(SnergError, match="no views"):
+        mean_psnr([])
