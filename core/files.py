@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -86,8 +87,10 @@ def check_replaceable(path: Path) -> None:
     parent = path
     while not parent.exists():
         parent = parent.parent
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-        raise SnergError(f"Cannot write {path} ({parent} is not a folder that you can write to); choose another.")
+    try:
+        os.rmdir(tempfile.mkdtemp(prefix=".snerg-", dir=parent))  # asking for permission is not enough: root has it everywhere
+    except OSError as error:
+        raise SnergError(f"Cannot write {path} ({parent} is not a folder that you can write to); choose another.") from error
 
 
 def read_json(path: Path) -> Any:

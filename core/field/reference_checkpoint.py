@@ -14,13 +14,17 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..errors import SnergError
-from .networks import SHAPES, ViewNetwork, view_residual
+from .field import Field
+from .networks import SHAPES, MlpFamily, ViewNetwork, view_residual
 from .positional import Dense, Trunk, layer_shapes, mlp_field
+from .sampling import Domain
 
 MAX_BYTES = 2**29  # a deferred NeRF of the paper's size is 15 MB with its optimiser
 NDARRAY, SCALAR = 1, 3  # flax's msgpack extension types
 KINDS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "bool")
 VIEW_LAYERS = (0, 1, 3)  # Dense_2 of a view network is a density that nothing uses
+REACH = 1.5  # what the reference's scenes keep to on every axis; a checkpoint does not say
+SAMPLES_ACROSS = 512  # of that extent, when the field itself is rendered
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,24 @@ def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, direct
     """
     density, colour, features = mlp_field(xnp, checkpoint.trunk, points)
     return density, colour, features, view_residual(xnp, checkpoint.network, colour, features, directions)
+
+
+def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
+    """The fine networks as a field, to bake: its coordinates are the world's, and it fills [-1.5, 1.5]^3.
+
+    A checkpoint knows neither its cameras nor its images, so nothing can be culled by visibility or refined.
+    """
+    trunk, reach = checkpoint.trunk, np.full(3, REACH)
+    family = MlpFamily(width=trunk[0].kernel.shape[1], depth=len(trunk) - 2, density="relu")
+    return Field(
+        family=family,
+        params=trunk,
+        network=checkpoint.network,
+        domain=Domain(np.zeros(3), 1.0, -reach, reach),
+        occupancy=None,
+        spacing=2 * REACH / SAMPLES_ACROSS,
+        about={"source": source, "family": type(family).__name__, "steps": checkpoint.step},
+    )
 
 
 def _unpack(path: Path) -> Any:

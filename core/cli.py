@@ -1,0 +1,202 @@
+"""The command line: `snerg VERB` outside Blender, `blender --command snerg VERB` inside, and the jobs that operators start.
+
+Progress goes to standard error. With --json the last line of standard output is one JSON object. Exit codes: 0; 2 with
+one sentence on standard error when something is wrong with the input; 130 when stopped from the keyboard.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TextIO
+
+from . import verbs
+from .errors import Cancelled, SnergError
+from .jobs.protocol import EXIT_ERROR, run_job
+
+EXIT_STOPPED = 130
+EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
+Work = Callable[[argparse.Namespace, verbs.Progress], dict[str, Any]]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb and return the exit code. arguments: without the program's name; those of the process when None."""
+    try:
+        options = parser().parse_args(sys.argv[1:] if arguments is None else list(arguments))
+    except SystemExit as end:  # --help, or arguments that make no sense: inside Blender the process must go on
+        return int(end.code or 0)
+    work: Work = options.work
+    if options.job:
+        return run_job(lambda progress: plain(work(options, progress)))
+    progress = Terminal(sys.stderr)
+    try:
+        result = plain(work(options, progress))
+    except KeyboardInterrupt:
+        progress.end()
+        print("snerg: Stopped; what was finished before is kept.", file=sys.stderr)
+        return EXIT_STOPPED
+    except SnergError as error:
+        progress.end()
+        print(f"snerg: {error}", file=sys.stderr)
+        return EXIT_STOPPED if isinstance(error, Cancelled) else EXIT_ERROR
+    except MemoryError:
+        progress.end()
+        print("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.", file=sys.stderr)
+        return EXIT_ERROR
+    progress.end()
+    print(json.dumps(result, allow_nan=False) if options.json else table(result))
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """Every verb and its options."""
+    top = _Parser(prog="snerg", description="Bake radiance fields into sparse grids that render in Blender and on the web.")
+    subparsers = top.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=_Parser)
+
+    def verb(name: str, about: str, work: Work) -> argparse.ArgumentParser:
+        sub = subparsers.add_parser(name, help=about, description=about[0].upper() + about[1:] + ".")
+        sub.add_argument("--json", action="store_true", help="print one JSON object as the last line of standard output")
+        sub.add_argument("--job", action="store_true", help=argparse.SUPPRESS)
+        sub.set_defaults(work=work)
+        return sub
+
+    train = verb(
+        "train", "train a field on a dataset", lambda o, p: verbs.train_field(o.dataset, o.out, o.preset, o.minutes, o.steps, o.seed, p)
+    )
+    train.add_argument("dataset", type=Path, metavar="DATASET", help="folder with transforms_train.json")
+    train.add_argument("--out", type=Path, required=True, metavar="FIELD")
+    train.add_argument("--preset", choices=("fast", "paper"), default="fast", help="hash grid, or the paper's MLP (default: %(default)s)")
+    length = train.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=positive, metavar="M", help="how long to train")
+    length.add_argument("--steps", type=count, metavar="N", help="how many steps to train")
+    train.add_argument("--seed", type=natural, default=0, metavar="S", help="of everything random (default: %(default)s)")
+
+    bring = verb("import", "bring in a checkpoint, field or baked scene", lambda o, p: verbs.import_source(o.source, o.out, p))
+    bring.add_argument("source", type=Path, metavar="SOURCE")
+    bring.add_argument("--out", type=Path, required=True, metavar="PATH")
+
+    bake = verb(
+        "bake",
+        "bake a field into a scene",
+        lambda o, p: verbs.bake_scene(o.field, o.out, o.resolution, o.box, o.samples, o.refine, p),
+    )
+    bake.add_argument("field", type=Path, metavar="FIELD")
+    bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
+    bake.add_argument(
+        "--resolution", type=count, default=verbs.RESOLUTION, metavar="N", help="voxels along the longest side (default: %(default)s)"
+    )
+    bake.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
+    bake.add_argument("--samples", type=count, default=verbs.SAMPLES, metavar="K", help="a voxel (default: %(default)s)")
+    bake.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
+
+    measure = verb("eval", "measure a field or a scene on a dataset", lambda o, p: verbs.evaluate(o.target, o.dataset, o.split, p))
+    measure.add_argument("target", type=Path, metavar="FIELD_OR_SCENE")
+    measure.add_argument("--dataset", type=Path, required=True, metavar="DATASET")
+    measure.add_argument("--split", default="test", metavar="SPLIT", help="train, val or test (default: %(default)s)")
+
+    render = verb("render", "render a scene from cameras", lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p))
+    render.add_argument("scene", type=Path, metavar="SCENE")
+    render.add_argument("--cameras", type=Path, required=True, metavar="TRANSFORMS.json")
+    render.add_argument("--out", type=Path, required=True, metavar="DIR")
+    render.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
+    render.add_argument("--height", type=count, metavar="H")
+
+    export = verb("export", "write a scene in the reference PNG layout", lambda o, p: verbs.export_reference(o.scene, o.out, p))
+    export.add_argument("scene", type=Path, metavar="SCENE")
+    export.add_argument("--out", type=Path, required=True, metavar="DIR")
+
+    bundle = verb("bundle", "write a scene as a web page", lambda o, p: verbs.bundle_scene(o.scene, o.out, o.cameras, o.single_file, p))
+    bundle.add_argument("scene", type=Path, metavar="SCENE")
+    bundle.add_argument("--out", type=Path, required=True, metavar="DIR")
+    bundle.add_argument("--cameras", type=Path, metavar="FILE", help="a transforms file whose cameras the page lists")
+    bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
+
+    about = verb("info", "say what a dataset, field, checkpoint or scene is", lambda o, p: verbs.info(o.path, p))
+    about.add_argument("path", type=Path, metavar="PATH")
+    return top
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        self.exit(EXIT_ERROR, f"snerg: {message}; see '{self.prog} --help'.\n")
+
+
+def count(text: str) -> int:
+    """A whole number above 0."""
+    if (value := int(text)) < 1:
+        raise argparse.ArgumentTypeError(f"{text} must be 1 or more")
+    return value
+
+
+def natural(text: str) -> int:
+    """A whole number from 0."""
+    if (value := int(text)) < 0:
+        raise argparse.ArgumentTypeError(f"{text} must be 0 or more")
+    return value
+
+
+def positive(text: str) -> float:
+    """A finite number above 0."""
+    value = float(text)
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"{text} must be a number above 0")
+    return value
+
+
+class Terminal:
+    """Progress for people: one line written over on a terminal, else a line every few seconds."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self.stream = stream
+        self.over = stream.isatty()
+        self.told = -math.inf if self.over else time.monotonic()
+        self.message = ""
+
+    def __call__(self, fraction: float, message: str, /) -> None:
+        """Show where the work is."""
+        now = time.monotonic()
+        if now - self.told < (0.1 if self.over else EVERY_SECONDS):
+            return
+        self.told = now
+        line = f"{100 * fraction:3.0f}%  {message}"
+        self.stream.write(f"\r\x1b[K{line[:100]}" if self.over else f"{line}\n")
+        self.stream.flush()
+        self.message = message
+
+    def end(self) -> None:
+        """Leave a clean line behind."""
+        if self.over and self.message:
+            self.stream.write("\r\x1b[K")
+            self.stream.flush()
+
+
+def plain(value: Any) -> Any:
+    """JSON values only: paths as text, NumPy numbers as Python's, and None for what is not finite."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool) or value is None else str(value)
+
+
+def table(result: dict[str, Any]) -> str:
+    """A result for people, a value a line; what is long is left to --json."""
+    width = max((len(key) for key in result), default=0)
+    lines = []
+    for key, value in result.items():
+        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
+        lines.append(f"{key.replace('_', ' '):<{width}}  {text if len(text) <= 160 else '… (see --json)'}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
