@@ -118,7 +118,7 @@ def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[A
     if isinstance(family, HashFamily):
         hidden = xnp.maximum(hash_encode(params["table"], *inputs) @ params["weights_0"] + params["bias_0"], 0)
         raw = hidden @ params["weights_1"] + params["bias_1"]
-        return bounded_exp(xnp, raw[:, 0] + 1), sigmoid(xnp, raw[:, 1:])
+        return bounded_exp(xnp, raw[:, 0]), sigmoid(xnp, raw[:, 1:])
     raw_density, raw = trunk(xnp, params, inputs, family.degrees, family.skip)
     if family.density == "relu":
         return xnp.maximum(raw_density, 0), sigmoid(xnp, raw)

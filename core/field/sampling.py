@@ -143,34 +143,33 @@ def cell_centres(cells: int) -> np.ndarray:
 class Occupancy:
     """Which cells hold something, as far as the field has learned.
 
-    alive: bool [CELLS^3], what the hull allows. density: float32 [CELLS^3], the largest seen lately; a cell that
-    nobody has looked at yet counts as full but stops no ray.
+    alive: bool [CELLS^3], what the hull allows. most, least: float32 [CELLS^3], running upper and lower estimates
+    of the density in a cell; a cell that nobody has looked at yet counts as full (most infinite) but stops no ray.
     """
 
-    DECAY = 0.9
-
-    def __init__(self, alive: np.ndarray, density: np.ndarray | None = None) -> None:
+    def __init__(self, alive: np.ndarray, most: np.ndarray | None = None, least: np.ndarray | None = None) -> None:
         self.alive = alive
-        self.density = np.where(alive, np.float32(np.nan), np.float32(0)) if density is None else density
+        self.most = np.where(alive, np.float32(np.inf), np.float32(0)) if most is None else most
+        self.least = np.zeros(len(alive), np.float32) if least is None else least
         self.cells = np.flatnonzero(alive)
 
-    def update(self, query: Callable[[np.ndarray], np.ndarray], most: int, rng: np.random.Generator) -> None:
-        """Look at one random point in each of up to `most` live cells; `query` maps [N, 3] float32 to density [N]."""
-        cells = self.cells if len(self.cells) <= most else rng.choice(self.cells, most, replace=False)
-        size = 2 / CELLS
+    def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
+        """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N].
+
+        The upper estimate jumps up and sinks slowly, the lower one the other way round: where a surface cuts a
+        cell the lower one is near 0, so only what is solid ends a ray.
+        """
+        cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
-        x = (index + rng.random(index.shape)) * size - 1
+        x = (index + rng.random(index.shape)) * (2 / CELLS) - 1
         found = query(x.astype(np.float32))
-        self.density[cells] = np.fmax(self.density[cells] * np.float32(self.DECAY), found)
+        most, least = self.most[cells], self.least[cells]
+        self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.85 * most + 0.15 * found))
+        self.least[cells] = np.minimum(found, 0.85 * least + 0.15 * found)
 
     def optical(self, threshold: float) -> np.ndarray:
-        """float32 [CELLS^3]: a lower estimate of density where a cell is occupied (above 0), else 0."""
-        known = np.where(np.isnan(self.density), np.float32(1e-6), self.density * np.float32(0.5))
-        return np.where(np.isnan(self.density) | (self.density > threshold), np.maximum(known, 1e-6), 0).astype(np.float32)
-
-    def occupied(self, threshold: float) -> np.ndarray:
-        """bool [CELLS^3]."""
-        return self.optical(threshold) > 0
+        """float32 [CELLS^3]: the lower estimate of density, at least 1e-6, where a cell is occupied; else 0."""
+        return np.where(self.most > threshold, np.maximum(self.least, np.float32(1e-6)), 0).astype(np.float32)
 
 
 def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

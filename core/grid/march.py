@@ -159,7 +159,7 @@ class _Tables:
     words: the atlas, one word of C bytes a voxel [M * 32^3]. base: [blocks] int32 first word of a block's cell,
     -1 where empty. block_skip: [blocks] int32 Chebyshev distance in blocks to the nearest with a cell.
     voxel_skip: uint8 [M * 32^3] Chebyshev distance in voxels to the nearest with something at its 8 corners,
-    within the cell; 0 there.
+    within the cell, and at most the distance to the cell's border, past which this cell knows nothing; 0 there.
     """
 
     words: np.ndarray
@@ -205,7 +205,10 @@ def _voxel_skip(words: np.ndarray) -> np.ndarray:
         here = [slice(None)] * 4
         ahead[axis], here[axis] = slice(1, None), slice(None, -1)
         occupied[tuple(here)] |= occupied[tuple(ahead)]
-    return chebyshev(occupied, MAX_SKIP, first_axis=1).reshape(-1)
+    index = np.arange(CELL_VOXELS)
+    border = np.clip(np.minimum(index + 1, CELL_VOXELS - 1 - index), 1, None).astype(np.uint8)
+    border = np.minimum(np.minimum(border[:, None, None], border[:, None]), border)
+    return np.minimum(chebyshev(occupied, MAX_SKIP, first_axis=1), border).reshape(-1)
 
 
 def chebyshev(occupied: np.ndarray, most: int, first_axis: int = 0) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import queue
@@ -137,12 +138,12 @@ class Job:
                 self._verdict = ("cancelled", str(line["cancelled"]))
 
     def _settle(self, code: int) -> None:
-        state, value = self._verdict or self._unspoken_end(code)
-        if state == "done":
-            self.result, self.fraction = value, 1.0
+        verdict: tuple[State, Any] = self._verdict or self._unspoken_end(code)
+        self.state = verdict[0]
+        if self.state == "done":
+            self.result, self.fraction = verdict[1], 1.0
         else:
-            self.error = value
-        self.state = state
+            self.error = verdict[1]
         self._close_input()
 
     def _unspoken_end(self, code: int) -> tuple[State, str]:
@@ -160,10 +161,8 @@ class Job:
 
     def _close_input(self) -> None:
         if self._process.stdin and not self._process.stdin.closed:
-            try:
+            with contextlib.suppress(OSError):  # it has ended already, which is what this is for
                 self._process.stdin.close()
-            except OSError:
-                pass  # it has ended already, which is what this is for
 
     def _read_lines(self, stream: IO[bytes]) -> None:
         with stream:

@@ -1,0 +1,46 @@
+"""Pictures straight from a field, before any baking: what evaluation compares a bake with (JAX)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..grid.march import Frame
+from ..grid.snerg import NETWORK_TRANSMITTANCE
+from .field import Field
+from .networks import view_residual
+from .sampling import CELLS, pack_samples
+from .volume import composite, optical_depth
+
+Progress = Callable[[float, str], None]
+RAYS = 8192
+
+
+def render_field(field: Field, camera: Camera, progress: Progress = lambda fraction, what: None) -> Frame:
+    """Volume-render a camera's picture (eqs. 5 to 7) at the field's own sample spacing."""
+    origins, directions = camera.rays()
+    count = len(origins)
+    gathered, through, depth = np.zeros((count, 8), np.float32), np.ones(count, np.float32), np.full(count, np.inf, np.float32)
+    optical = field.occupancy if field.occupancy is not None else np.full(CELLS**3, 1e-6, np.float32)
+    for start in range(0, count, RAYS):
+        rows = slice(start, start + RAYS)
+        x, towards = (origins[rows] - field.domain.centre) * field.domain.scale, directions[rows]
+        samples = pack_samples(field.domain, optical, x, towards, field.spacing, np.full(len(x), 0.5), camera.near * field.domain.scale)
+        density, values = field.evaluate(samples.points)
+        values = np.concatenate([values, samples.distance[:, None]], axis=-1)
+        thickness = optical_depth(np, density, np.float32(field.spacing))
+        gathered[rows], through[rows], _ = composite(np, thickness, values, samples.ray, len(x))
+        progress(min(start + RAYS, count) / count, "Rendering the field")
+    alpha = 1 - through
+    seen = alpha > 0
+    depth[seen] = gathered[seen, 7] / alpha[seen] / field.domain.scale
+    colour = gathered[:, :3].copy()
+    if field.network is not None:
+        rows_seen = np.flatnonzero(through <= NETWORK_TRANSMITTANCE)
+        over_white = colour[rows_seen] + through[rows_seen, None]
+        towards = directions[rows_seen].astype(np.float32)
+        colour[rows_seen] += view_residual(np, field.network, over_white, gathered[rows_seen, 3:7], towards)
+    shape = camera.height, camera.width
+    return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))
