@@ -119,7 +119,8 @@ def _base() -> None:
         node.inputs["Color1"].default_value = (0.62, 0.58, 0.50, 1)
         node.inputs["Color2"].default_value = (0.16, 0.24, 0.28, 1)
 
-    board = _add(bpy.context.object, "Board", _textured(_material("Board", (0.5, 0.5, 0.5), 0.7), "ShaderNodeTexChecker", checker), smooth=False)
+    material = _textured(_material("Board", (0.5, 0.5, 0.5), 0.7), "ShaderNodeTexChecker", checker)
+    board = _add(bpy.context.object, "Board", material, smooth=False)
     _bevel(board, 0.02)
 
 
@@ -142,7 +143,8 @@ def _bricks() -> None:
         node.inputs["Mortar Size"].default_value = 0.025
 
     material = _textured(_material("Bricks", (0.6, 0.3, 0.2), 0.85), "ShaderNodeTexBrick", brick, "UV")
-    for index, (size, place, turn) in enumerate((((0.56, 0.56, 0.46), (0.42, 0.40, 0.23), 0.4), ((0.34, 0.34, 0.30), (0.40, 0.42, 0.61), 0.95))):
+    blocks = (((0.56, 0.56, 0.46), (0.42, 0.40, 0.23), 0.4), ((0.34, 0.34, 0.30), (0.40, 0.42, 0.61), 0.95))
+    for index, (size, place, turn) in enumerate(blocks):
         bpy.ops.mesh.primitive_cube_add(size=1, location=place, rotation=(0, 0, turn))
         thing = _add(bpy.context.object, f"Block {index + 1}", material, smooth=False)
         thing.scale = size

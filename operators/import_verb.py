@@ -1,6 +1,5 @@
 """What importing a field and importing a scene have in common."""
 
-# ruff: noqa: F722, F821
 # mypy: disable-error-code="valid-type"
 # Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
 
@@ -21,9 +20,7 @@ class ImportVerb(LongVerb):
     key: ClassVar[str]
     what: ClassVar[str]
 
-    filepath: bpy.props.StringProperty(
-        name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE"}
-    )
+    filepath: bpy.props.StringProperty(name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the path first, where there is a window to ask in."""

@@ -82,7 +82,8 @@ class LongVerb:
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         running = work.poll()
-        context.workspace.status_text_set(None if not running else f"SNeRG: {self.label}, {work.fraction:.0%}. {work.message}. Esc stops it")
+        said = f"SNeRG: {self.label}, {work.fraction:.0%}. {work.message}. Esc stops it"
+        context.workspace.status_text_set(said if running else None)
         redraw()
         if running:
             return {"PASS_THROUGH"}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 
@@ -16,9 +16,9 @@ from ..core.capture.readers.transforms import write_transforms
 from ..core.errors import SnergError
 from ..core.files import new_folder
 from ..core.grid.box import Box
-from .bridge import camera_from_blender, resolution, set_camera, temporary_camera
+from .bridge import camera_from_blender, set_camera, temporary_camera
 
-Shot = bpy.types.Object | Camera
+Shot: TypeAlias = bpy.types.Object | Camera
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,8 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) 
         try:
             bpy.ops.render.render(write_still=True, scene=copy.name)
         except RuntimeError as error:  # how Blender's operators tell what went wrong
-            raise SnergError(f"Blender could not render {camera.name!r} ({str(error).strip()}); render it once by hand to see why.") from error
+            why = str(error).strip()
+            raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error
         recorded = colour_settings(copy)
     if not path.is_file():
         raise SnergError(f"Blender wrote no picture for {camera.name!r}; check that the scene renders and that the disk has space.")
@@ -166,7 +167,7 @@ def _standard_view(scene: bpy.types.Scene) -> None:
         view.look = "None"
     except TypeError as error:  # a colour configuration of the artist's own, without these names
         raise SnergError(
-            "The colour configuration has no view transform 'Standard' for sRGB; start Blender without the OCIO variable to render a dataset."
+            "The colour configuration has no view transform 'Standard' for sRGB; start Blender without the OCIO variable."
         ) from error
     view.exposure, view.gamma = 0.0, 1.0
     view.use_curve_mapping = False

@@ -131,7 +131,8 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
         layout.prop(settings, "dataset", text="Or Use")
         note = project_of(context.scene).notes().get("dataset", {})
         if note and not settings.dataset:
-            facts(layout, f"{note.get('train')} + {note.get('test')} test views, {note.get('width')} x {note.get('height')} px", megabytes(note))
+            views = f"{note.get('train')} + {note.get('test')} test views"
+            facts(layout, views, joined(f"{note.get('width')} x {note.get('height')} px", megabytes(note)))
 
 
 def camera_count(context: bpy.types.Context) -> str:

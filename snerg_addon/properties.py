@@ -1,6 +1,5 @@
 """What the artist sets, one group on the scene. Blender reads these annotations as values, hence no postponed evaluation here."""
 
-# ruff: noqa: F722, F821
 # mypy: disable-error-code="valid-type"
 
 import math
@@ -109,7 +108,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
 
     resolution: IntProperty(
         name="Voxels",
-        description="Voxels along the longest side of the box. Twice as many show details half the size and take about eight times the memory",
+        description="Voxels along the longest side of the box. Twice as many show half the detail size and take about six times the memory",
         default=256,
         min=8,
         max=2048,

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
+
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.jobs import runner
 from snerg.core.jobs.runner import Job, start_verb
