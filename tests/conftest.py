@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from scenes import make_dataset
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--list-hard-cases", action="store_true", help="list which tests cover which hard cases, and run none")
@@ -33,3 +35,9 @@ def data() -> Path:
     if not folder:
         pytest.skip("SNERG_DATA names no folder of real data")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small dataset with splits train (12 views) and test (3), 40 x 40 pixels with alpha; read it, do not change it."""
+    return make_dataset(tmp_path_factory.mktemp("captured") / "dataset")

@@ -6,11 +6,16 @@ mirrored or turned picture shows.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from snerg.core.capture.camera import Camera
+from snerg.core.capture.images import to_uint8, write_png
+from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.field.networks import SHAPES, ViewNetwork
 from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
+from snerg.core.grid.march import march
 from snerg.core.grid.snerg import Snerg, blocks_of
 
 
@@ -141,3 +146,19 @@ def make_cameras(
         Camera(h, w, (0.9 * w, 0.9 * w), (h / 2, w / 2), pose((0, 0, 2.2)), name="Top, portrait"),
         Camera(w, h, (1.2 * w, 1.2 * w), (w / 2, h / 2), pose((0.4, -1.5, 0.3)), name="Near plane", near=1.45 * size),
     )
+
+
+def make_dataset(folder: Path, train: int = 12, test: int = 3, size: int = 40) -> Path:
+    """Pictures of a small scene, marched: a folder as NeRF-synthetic has it, RGBA with straight alpha, and the scene's box."""
+    snerg = make_snerg((40, 36, 44), fog=False)
+    draw = np.random.default_rng(4)
+    for split, count in (("train", train), ("test", test)):
+        cameras = []
+        for index in range(count):
+            around, up = 2.4 * index + (0.7 if split == "test" else 0), draw.uniform(0.1, 0.9)
+            eye = 4.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
+            pose = looking(tuple(eye), (0, 0, 0))
+            cameras.append(Camera(size, size, (1.6 * size, 1.6 * size), (size / 2, size / 2), pose, name=f"{split}_{index}"))
+            write_png(folder / split / f"{index}.png", to_uint8(march(snerg, cameras[-1]).straight()))
+        write_transforms(folder / f"transforms_{split}.json", cameras, [f"./{split}/{i}" for i in range(count)], snerg.box)
+    return folder

@@ -1,0 +1,249 @@
+"""Every verb on small inputs: what it writes, what it returns, what it refuses before it starts."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flax_checkpoint import networks, tree, write
+from scenes import make_cameras, make_snerg
+from snerg.core import verbs
+from snerg.core.capture.dataset import read_dataset
+from snerg.core.capture.images import read_image, to_uint8
+from snerg.core.capture.readers.transforms import write_transforms
+from snerg.core.errors import Cancelled, SnergError
+from snerg.core.export.reference import write_reference
+from snerg.core.export.scene import read_scene, write_scene
+from snerg.core.field.checkpoint import read_field, write_field
+from snerg.core.field.reference_checkpoint import read_reference_checkpoint, reference_mlp
+from snerg.core.grid.march import march
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("baked") / "scene"
+    write_scene(make_snerg((40, 36, 44), fog=False), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory, dataset):
+    pytest.importorskip("jax")
+    out = tmp_path_factory.mktemp("trained") / "field"
+    result = verbs.train_field(dataset, out, steps=12, seed=3)
+    assert result["steps"] == 12 and result["views"] == 12 and not result["resumed"] and result["bytes"] > 1000
+    return out
+
+
+@pytest.fixture
+def checkpoint(tmp_path):
+    return write(tmp_path / "checkpoint_5", tree(networks(np.random.default_rng(0))))
+
+
+class StopAfter:
+    """Progress that cancels once training has said something `times` times."""
+
+    def __init__(self, times):
+        self.left = times
+
+    def __call__(self, fraction, message):
+        if message.startswith("Step"):
+            self.left -= 1
+        if self.left < 0:
+            raise Cancelled("Stopped by the test.")
+
+
+def test_a_stopped_training_goes_on(tmp_path, dataset, monkeypatch):
+    train = pytest.importorskip("snerg.core.field.train")
+    monkeypatch.setattr(train.time, "perf_counter", iter(np.arange(0.0, 1e6, 0.3)).__next__)  # so that each step tells of itself
+    with pytest.raises(Cancelled):
+        verbs.train_field(dataset, tmp_path / "field", steps=8, progress=StopAfter(3))
+    reached = read_field(tmp_path / "field").about["steps"]
+    assert 0 < reached < 8
+    views = read_dataset(dataset)
+    settings = replace(train.PRESETS["fast"], steps=8, seconds=None)
+    assert not verbs._unfinished(tmp_path / "field", replace(settings, steps=9), views)  # other settings: anew
+    assert not verbs._unfinished(tmp_path / "field", settings, read_dataset(dataset, "test"))  # other images: anew
+    result = verbs.train_field(dataset, tmp_path / "field", steps=8)
+    assert result["resumed"] and result["steps"] == 8
+    assert not verbs._unfinished(tmp_path / "field", settings, views)  # finished: anew
+
+
+def test_a_field_is_measured_and_described(field, dataset):
+    result = verbs.evaluate(field, dataset, "test")
+    assert result["kind"] == "field" and result["views"] == 3
+    assert 3 < result["psnr"] < 60 and -1 < result["ssim"] <= 1 and result["seconds_per_view"] > 0
+    about = verbs.info(field)
+    assert about["kind"] == "field" and about["views"] == 12 and about["steps"] == 12 and about["effects"] == {"view_dependence": True}
+
+
+def test_a_scene_is_measured_and_described(scene, dataset):
+    """The dataset shows this very scene: 8 bits of colour and alpha are all that is lost."""
+    result = verbs.evaluate(scene, dataset, "test")
+    assert result["kind"] == "scene" and result["psnr"] > 45 and result["ssim"] > 0.99
+    about = verbs.info(scene)
+    snerg = read_scene(scene)
+    assert about["voxels"] == [40, 36, 44] and about["blocks"] == len(snerg.cells) and about["effects"] == {"view_dependence": True}
+    assert about["megabytes"] == pytest.approx(verbs.folder_bytes(scene) / 1e6, abs=1e-3)
+
+
+@pytest.mark.hard_case(30)
+def test_identical_pictures_give_no_number():
+    score = verbs.Score()
+    picture = np.random.default_rng(0).random((20, 20, 3))
+    score.add(picture, picture)
+    assert score.result()["psnr"] is None and score.text() == "identical"
+    score.add(picture, np.clip(picture + 0.1, 0, 1))
+    assert score.result()["psnr"] > 20
+
+
+def test_a_dataset_is_described(dataset):
+    about = verbs.info(dataset)
+    assert about["splits"] == {"test": 3, "train": 12} and about["sizes"] == [[40, 40]] and about["alpha"] and about["box"]
+
+
+@pytest.mark.hard_case(8)
+def test_images_are_put_over_white_in_display_space():
+    image = np.uint8([[[0, 0, 0, 128], [255, 0, 0, 255], [9, 9, 9, 0]]])
+    assert np.allclose(verbs.over_white(image), [[[127 / 255] * 3, [1, 0, 0], [1, 1, 1]]], atol=1e-6)
+
+
+def test_importing_a_checkpoint_gives_a_field_that_equals_it(tmp_path, checkpoint):
+    pytest.importorskip("jax")
+    result = verbs.import_source(checkpoint, tmp_path / "field")
+    assert result["imported"] == "checkpoint" and result["kind"] == "field"
+    random = np.random.default_rng(1)
+    points = random.uniform(-1.2, 1.2, (300, 3))
+    directions = np.float32(np.tile([0.0, 0.6, 0.8], (300, 1)))
+    expected = reference_mlp(np, read_reference_checkpoint(checkpoint), points.astype(np.float32), directions)
+    density, colour, features = read_field(tmp_path / "field").query(points)
+    assert np.abs(density - expected[0]).max() < 1e-5 * max(1, expected[0].max())
+    assert np.abs(colour - expected[1]).max() < 1e-5 and np.abs(features - expected[2]).max() < 1e-5
+
+
+def test_the_real_checkpoint_as_a_field_equals_the_references_outputs(data, tmp_path):
+    pytest.importorskip("jax")
+    verbs.import_source(data / "reference" / "checkpoint", tmp_path / "field")
+    with np.load(data / "reference" / "checkpoint" / "ref_eval.npz") as truth:
+        density, colour, features = read_field(tmp_path / "field").query(truth["pts"].astype(np.float64))
+        expected = 1 / (1 + np.exp(-truth["raw_rgb_features"].astype(np.float64)))
+        assert np.abs(density - np.maximum(truth["raw_sigma"][:, 0], 0)).max() < 1e-5
+        assert np.abs(np.hstack([colour, features]) - expected).max() < 1e-5
+
+
+def test_importing_scenes(tmp_path, scene):
+    snerg = read_scene(scene)
+    write_reference(snerg, tmp_path / "reference")
+    for source, kind in ((tmp_path / "reference", "reference scene"), (scene, "scene")):
+        result = verbs.import_source(source, tmp_path / "imported")
+        assert result["imported"] == kind and result["kind"] == "scene"
+        assert np.array_equal(read_scene(tmp_path / "imported").cells, snerg.cells)
+
+
+def test_importing_what_needs_no_import(dataset, tmp_path):
+    with pytest.raises(SnergError, match="dataset"):
+        verbs.import_source(dataset, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("size", "shape"),
+    [({}, (64, 48)), ({"width": 50}, (50, 38)), ({"height": 30}, (40, 30)), ({"width": 20, "height": 50}, (20, 50))],
+)
+def test_rendering_views(tmp_path, scene, size, shape):
+    cameras = make_cameras(width=64, height=48)[:3]
+    write_transforms(tmp_path / "cameras.json", cameras, [camera.name for camera in cameras])
+    result = verbs.render_views(scene, tmp_path / "cameras.json", tmp_path / "out", **size)
+    assert result["views"] == 3 and sorted(result["files"]) == sorted(p.name for p in (tmp_path / "out").glob("*.png"))
+    width, height = shape
+    picture = read_image(tmp_path / "out" / result["files"][1])
+    assert picture.shape == (height, width, 4)
+    expected = march(read_scene(scene), cameras[1].resized(width, height))
+    assert np.array_equal(picture, to_uint8(expected.straight()))
+    assert np.abs(verbs.over_white(picture) - expected.over()).max() < 2.5 / 255
+
+
+def test_names_of_pictures():
+    assert verbs.file_names(["a", "b c", "../d"]) == ["a", "b_c", "d"]
+    assert verbs.file_names(["a", "A"]) == ["000_a", "001_A"]
+    assert verbs.file_names(["", "x"]) == ["000", "001_x"]
+
+
+def test_exporting_the_reference_layout(tmp_path, scene):
+    result = verbs.export_reference(scene, tmp_path / "out")
+    assert result["kind"] == "reference scene" and result["blocks"] == len(read_scene(scene).cells)
+
+
+def test_what_an_output_must_not_replace(tmp_path, scene, dataset, checkpoint):
+    with pytest.raises(SnergError, match="made from"):
+        verbs.export_reference(scene, scene)
+    with pytest.raises(SnergError, match="made from"):
+        verbs.export_reference(scene, scene.parent)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work")
+    with pytest.raises(SnergError, match="other files"):
+        verbs.export_reference(scene, tmp_path / "mine")
+    verbs.import_source(checkpoint, tmp_path / "field")
+    with pytest.raises(SnergError, match="holds a field"):
+        verbs.export_reference(scene, tmp_path / "field")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SnergError, match="folder"):
+        verbs.export_reference(scene, tmp_path / "file" / "out")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs a folder that nobody can write to")
+def test_an_unwritable_output_is_found_before_the_work(scene, dataset):
+    for work in (
+        lambda out: verbs.export_reference(scene, out),
+        lambda out: verbs.train_field(dataset, out, steps=1),
+        lambda out: verbs.import_source(scene, out),
+    ):
+        with pytest.raises(SnergError, match="Cannot write"):
+            work(Path("/proc/self/out"))
+
+
+def test_cancelling_leaves_nothing(tmp_path, scene):
+    def stop(fraction, message):
+        raise Cancelled("Stopped by the test.")
+
+    with pytest.raises(Cancelled):
+        verbs.export_reference(scene, tmp_path / "out", progress=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_field_whose_images_are_gone_says_so(tmp_path, field):
+    trained = read_field(field)
+    write_field(replace(trained, dataset=str(tmp_path / "moved")), tmp_path / "field")
+    with pytest.raises(SnergError, match="--no-refine"):
+        verbs.bake_scene(tmp_path / "field", tmp_path / "scene", resolution=40)
+    assert not (tmp_path / "scene").exists()
+
+
+def test_baking_refining_and_measuring(tmp_path, field, dataset):
+    (tmp_path / "box.json").write_text(json.dumps({"min": [-1, -1, -1], "max": [1, 1, 1.1]}))
+    said = []
+    result = verbs.bake_scene(
+        field, tmp_path / "scene", resolution=40, box=tmp_path / "box.json", samples=1, progress=lambda f, m: said.append(f)
+    )
+    assert result["kind"] == "scene" and result["refined"] and set(result["seconds"]) == {"bake", "refine"}
+    assert max(result["voxels"]) == 40 and said == sorted(said) and said[-1] <= 1
+    assert verbs.evaluate(tmp_path / "scene", dataset, "test")["psnr"] > 3
+    plain = verbs.bake_scene(field, tmp_path / "scene", resolution=40, samples=1, refine=False)
+    assert not plain["refined"] and set(plain["seconds"]) == {"bake"}
+
+
+def test_a_flat_box_is_refused_before_the_bake(tmp_path, field):
+    (tmp_path / "box.json").write_text(json.dumps({"min": [-1, -1, 0], "max": [1, 1, 0]}))
+    with pytest.raises(SnergError, match="box"):
+        verbs.bake_scene(field, tmp_path / "scene", box=tmp_path / "box.json")
+    assert not (tmp_path / "scene").exists()
+
+
+def test_paths_that_are_nothing(tmp_path):
+    with pytest.raises(SnergError, match="does not exist"):
+        verbs.info(tmp_path / "nothing")
+    with pytest.raises(SnergError, match="no dataset"):
+        verbs.info(tmp_path)
