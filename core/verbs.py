@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 Progress = Callable[[float, str], None]
 Result = dict[str, Any]
 RESOLUTION = 512
-SAMPLES = 16
+SAMPLES = 4
 WHITE = (1.0, 1.0, 1.0)
 
 

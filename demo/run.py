@@ -1,0 +1,172 @@
+"""`make demo`: from a scene in Blender to a web page, every stage timed and measured on cameras that training never saw.
+
+Writes to build/demo: dataset/, field/, scene/, reference/, web/, report.json and contact.png.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+from build_scene import CAMERAS, SIZE, build
+from PIL import Image, ImageDraw, ImageFont
+
+import snerg
+from snerg.core.capture.dataset import Dataset, read_dataset
+from snerg.core.capture.images import to_uint8, write_png
+from snerg.core.cli import Terminal
+from snerg.core.export.bundle import write_bundle
+from snerg.core.export.reference import write_reference
+from snerg.core.export.scene import write_scene
+from snerg.core.field.field import Field
+from snerg.core.field.render import render_field
+from snerg.core.field.train import PRESETS, train
+from snerg.core.files import json_bytes, write_bytes
+from snerg.core.grid.bake import BakeSettings, bake
+from snerg.core.grid.box import Box
+from snerg.core.grid.march import march
+from snerg.core.grid.refine import RefineSettings, refine
+from snerg.core.grid.snerg import Snerg
+from snerg.core.verbs import Score, folder_bytes, over_white
+from snerg.snerg_addon.bridge import box_from_blender
+from snerg.snerg_addon.capture import evaluated, render_dataset
+
+OUT = Path(__file__).resolve().parent.parent / "build" / "demo"
+COLUMNS = ("truth", "field", "preview", "error x 10")
+GAP, LABEL = 6, 22  # pixels
+Pictures = list[np.ndarray]
+
+
+class Stopwatch:
+    """Seconds of each stage, and progress on the terminal."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.progress = Terminal(sys.stderr)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a stage; one of the same name adds to it."""
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        began = time.perf_counter()
+        yield
+        self.progress.end()
+        self.seconds[name] = round(self.seconds.get(name, 0.0) + time.perf_counter() - began, 2)
+
+
+def main() -> int:
+    """Run the demo; the exit code is 0 when every stage is done."""
+    options = arguments()
+    watch = Stopwatch()
+    shutil.rmtree(options.out, ignore_errors=True)
+    options.out.mkdir(parents=True)
+    with watch.stage("render"):
+        capture(options, watch)
+    views, held_out = read_dataset(options.out / "dataset", "train"), read_dataset(options.out / "dataset", "test")
+    with watch.stage("train"):
+        settings = replace(PRESETS["fast"], seconds=60 * options.minutes)
+        field = train(views, settings, options.out / "field", watch.progress)
+    with watch.stage("bake"):
+        baked = bake(field, views.suggested_box(), field.cameras, BakeSettings(resolution=options.resolution), watch.progress)
+    with watch.stage("refine"):
+        refined, _ = refine(baked, views, RefineSettings(), watch.progress)
+    with watch.stage("preview"):
+        preview = [march(refined, camera).over() for camera in held_out.cameras]
+    with watch.stage("export"):
+        write_scene(refined, options.out / "scene")
+        write_reference(refined, options.out / "reference", held_out.cameras[0])
+        write_bundle(refined, (*held_out.cameras, *views.cameras), options.out / "web")
+    with watch.stage("measure"):
+        report(options.out, watch, held_out, field, baked, preview)
+    return 0
+
+
+def arguments() -> argparse.Namespace:
+    """The defaults fit ten minutes on two cores; smaller ones are for trying the demo itself."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--size", type=int, default=SIZE, help="pixels a side (default: %(default)s)")
+    parser.add_argument("--cameras", type=int, default=CAMERAS, help="every eighth is held out (default: %(default)s)")
+    parser.add_argument("--minutes", type=float, default=2.5, help="of training (default: %(default)s)")
+    parser.add_argument("--resolution", type=int, default=320, help="voxels along the longest side (default: %(default)s)")
+    return parser.parse_args()
+
+
+def capture(options: argparse.Namespace, watch: Stopwatch) -> None:
+    """Build the scene in Blender and render a dataset from its cameras."""
+    snerg.register()
+    scene = build(size=options.size, cameras=options.cameras)
+    bpy.context.view_layer.update()
+    shots = sorted((thing for thing in scene.objects if thing.type == "CAMERA"), key=lambda thing: thing.name)
+    box: Box = box_from_blender(scene.snerg.box, evaluated(scene))
+    render_dataset(scene, shots, options.out / "dataset", box=box, progress=watch.progress)
+
+
+def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: Snerg, preview: Pictures) -> None:
+    """Measure the three stages against the held-out renders; write report.json and contact.png; print the table."""
+    truth = [over_white(held_out.read(index)) for index in range(len(held_out.views))]
+    stages = {
+        "field": [render_field(field, camera).over() for camera in held_out.cameras],
+        "bake": [march(baked, camera).over() for camera in held_out.cameras],
+        "refined": preview,
+    }
+    quality = {name: measure(pictures, truth) for name, pictures in stages.items()}
+    seconds = {name: watch.seconds[name] for name in ("render", "train", "bake", "refine", "preview", "export")}
+    value = {
+        "seconds": seconds,
+        "psnr": {name: quality[name]["psnr"] for name in quality},
+        "ssim": {name: quality[name]["ssim"] for name in quality},
+        "bytes": {"scene": folder_bytes(out / "scene"), "web": folder_bytes(out / "web")},
+    }
+    write_bytes(out / "report.json", json_bytes(value))
+    names = [camera.name for camera in held_out.cameras]
+    write_png(out / "contact.png", contact_sheet(truth, stages["field"], preview, names))
+    print(table(json.loads((out / "report.json").read_text())))
+    print(f"\nPictures of the cameras that were held out: {out / 'contact.png'}")
+    print("To open the page, run this and visit http://localhost:8000")
+    print(f"  {sys.executable} -m http.server --directory {out / 'web'} 8000")
+
+
+def measure(pictures: Pictures, truth: Pictures) -> dict[str, float]:
+    """PSNR of the mean error, and mean SSIM."""
+    score = Score()
+    for picture, wanted in zip(pictures, truth, strict=True):
+        score.add(picture, wanted)
+    return score.result()
+
+
+def contact_sheet(truth: Pictures, field: Pictures, preview: Pictures, names: list[str]) -> np.ndarray:
+    """uint8 [H, W, 3]: a row a camera, with what it should show, the field, the preview and ten times their difference."""
+    error = [np.clip(10 * np.abs(a - b), 0, 1) for a, b in zip(truth, preview, strict=True)]
+    height, width = truth[0].shape[:2]
+    sheet = Image.new("RGB", (4 * (width + GAP) + GAP, len(names) * (height + LABEL + GAP) + GAP), (38, 38, 42))
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
+    for row, (name, *pictures) in enumerate(zip(names, truth, field, preview, error, strict=True)):
+        top = GAP + row * (height + LABEL + GAP)
+        for column, (title, picture) in enumerate(zip(COLUMNS, pictures, strict=True)):
+            left = GAP + column * (width + GAP)
+            draw.text((left + 2, top + 2), f"{name}  {title}" if column == 0 else title, (235, 235, 235), font)
+            sheet.paste(Image.fromarray(to_uint8(picture)), (left, top + LABEL))
+    return np.asarray(sheet)
+
+
+def table(value: dict[str, dict[str, float]]) -> str:
+    """The report for people."""
+    seconds, psnr, ssim = value["seconds"], value["psnr"], value["ssim"]
+    lines = ["", "stage     seconds"] + [f"{name:<8} {seconds[name]:8.1f}" for name in seconds]
+    lines += [f"{'total':<8} {sum(seconds.values()):8.1f}", "", "held-out views    PSNR    SSIM"]
+    lines += [f"{name:<14} {psnr[name]:7.2f} {ssim[name]:7.4f}" for name in psnr]
+    return "\n".join([*lines, ""] + [f"{name:<8} {size / 1e6:6.1f} MB" for name, size in value["bytes"].items()])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
