@@ -104,8 +104,12 @@ def march_rays(
     settings: MarchSettings = MarchSettings(),
     progress: Progress = lambda fraction, what: None,
     near: float = 0.0,
+    visited: np.ndarray | None = None,
 ) -> Composited:
-    """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6)."""
+    """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6).
+
+    visited: bool [M * 32^3], set where a sample was taken in a voxel (always in a block's own part of its cell).
+    """
     tables = tables_of(snerg)
     origin, direction, start, stop = enter(snerg, origins, directions, near)
     count = len(origin)
@@ -116,7 +120,7 @@ def march_rays(
     batches = [hit[i : i + settings.batch] for i in range(0, len(hit), settings.batch)]
 
     def run(rays: np.ndarray) -> None:
-        walk = _Walk(tables, origin[rays], direction[rays], start[rays], stop[rays], settings)
+        walk = _Walk(tables, origin[rays], direction[rays], start[rays], stop[rays], settings, visited)
         gathered[rays], through[rays], depth[rays] = walk.run()
 
     with ThreadPoolExecutor(settings.threads) as pool:
@@ -245,8 +249,9 @@ class _Walk:
         start: np.ndarray,
         stop: np.ndarray,
         settings: MarchSettings,
+        visited: np.ndarray | None = None,
     ) -> None:
-        self.tables, self.settings = tables, settings
+        self.tables, self.settings, self.visited = tables, settings, visited
         self.entry, self.direction, self.start = entry, direction, start
         # Sample k stands at start + 0.5 + k; the last one before the exit:
         self.samples = np.ceil(stop - start - 0.5).astype(np.int32)
@@ -291,7 +296,10 @@ class _Walk:
             move[rows[far]] = 1 + ((skip[far] - 1) * self.pace[live[rows[far]]]).astype(np.int32)
         near = np.flatnonzero(skip == 0)
         if len(near):
-            self.gather(live[rows[near]], first[near], local[near] - corner[near], t[rows[near]])
+            fraction = local[near] - corner[near]
+            if self.visited is not None:
+                self.visited[first[near] + (fraction >= 0.5) @ CORNERS[[4, 2, 1]]] = True  # the nearest voxel
+            self.gather(live[rows[near]], first[near], fraction, t[rows[near]])
         return move
 
     def leave(self, live: np.ndarray, point: np.ndarray, block: np.ndarray, distance: np.ndarray) -> np.ndarray:

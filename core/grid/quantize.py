@@ -1,0 +1,26 @@
+"""Floats to the 8 bits of the atlas (section 5.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+THIN = 12  # levels of alpha below which rounding is dithered
+
+
+def quantize(colour: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Premultiplied values [N, C - 1] and alpha [N], all in [0, 1], to uint8 [N, C], alpha last.
+
+    Rounded to nearest, except thin fog: there a level is a large step and rounding would turn a fog of 0.7 into
+    black or white, so it is dithered, alpha first and the rest at the colour that it then needs (hard case 51). No
+    alpha, no colour: empty voxels are all 0.
+    """
+    level = alpha * np.float32(255)
+    thin = level < THIN
+    noise = np.full((len(alpha), colour.shape[-1] + 1), 0.5, np.float32)
+    noise[thin] = rng.random((int(thin.sum()), noise.shape[-1]), np.float32)
+    stored = np.minimum(np.floor(level + noise[:, -1]), 255)
+    straight = colour / np.maximum(alpha, 1e-12)[:, None]
+    wanted = np.where(thin[:, None], straight * stored[:, None], colour * np.float32(255))
+    values = np.minimum(np.floor(wanted + noise[:, :-1]), 255)
+    values[stored == 0] = 0
+    return np.concatenate([values, stored[:, None]], axis=-1).astype(np.uint8)
