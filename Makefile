@@ -3,7 +3,7 @@
 
 find_python = $(shell for name in $(1); do \
 	"$$name" -c 'import sys; print(sys.executable)' 2>/dev/null && break; \
-	release=$$(pyenv latest "$${name\#\#*python}" 2>/dev/null) && PYENV_VERSION="$$release" pyenv which "$$name" 2>/dev/null && break; \
+	release=$$(pyenv latest "$$(expr "$$name" : "python\(.*\)")" 2>/dev/null) && PYENV_VERSION="$$release" pyenv which "$$name" 2>/dev/null && break; \
 	done)
 
 PYTHON ?= python3.11 python3.13 python3

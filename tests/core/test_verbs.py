@@ -229,7 +229,7 @@ def test_baking_refining_and_measuring(tmp_path, field, dataset):
         field, tmp_path / "scene", resolution=40, box=tmp_path / "box.json", samples=1, progress=lambda f, m: said.append(f)
     )
     assert result["kind"] == "scene" and result["refined"] and set(result["seconds"]) == {"bake", "refine"}
-    assert max(result["voxels"]) == 40 and said == sorted(said) and said[-1] <= 1
+    assert 40 <= max(result["voxels"]) <= 44 and said == sorted(said) and said[-1] <= 1
     assert verbs.evaluate(tmp_path / "scene", dataset, "test")["psnr"] > 3
     plain = verbs.bake_scene(field, tmp_path / "scene", resolution=40, samples=1, refine=False)
     assert not plain["refined"] and set(plain["seconds"]) == {"bake"}
