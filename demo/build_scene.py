@@ -58,7 +58,10 @@ def _render_settings(scene: bpy.types.Scene, size: int, samples: int) -> None:
     cycles.device = "CPU"
     cycles.samples = samples
     cycles.use_adaptive_sampling = False
-    cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    try:
+        cycles.use_denoising, cycles.denoiser = True, "OPENIMAGEDENOISE"
+    except TypeError:  # a Blender that was built without it, as Linux distributions do
+        cycles.use_denoising, cycles.samples = False, 2 * samples
     cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 4, 2, 2
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.sample_clamp_indirect = 2.0
@@ -70,7 +73,7 @@ def _render_settings(scene: bpy.types.Scene, size: int, samples: int) -> None:
 
 def _material(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0.0, coat: float = 0.0) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    _use_nodes(material)
     shader = _shader(material)
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
@@ -78,6 +81,11 @@ def _material(name: str, colour: Colour, roughness: float = 0.6, metallic: float
     shader.inputs["Coat Weight"].default_value = coat
     shader.inputs["Coat Roughness"].default_value = 0.12
     return material
+
+
+def _use_nodes(thing: bpy.types.Material | bpy.types.World) -> None:
+    if bpy.app.version < (5, 0):  # from then on there is nothing else
+        thing.use_nodes = True
 
 
 def _shader(material: bpy.types.Material) -> Any:
@@ -245,7 +253,7 @@ def _lights(scene: bpy.types.Scene) -> None:
         scene.collection.objects.link(light)
     world = scene.world or bpy.data.worlds.new("World")
     scene.world = world
-    world.use_nodes = True
+    _use_nodes(world)
     background = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     background.inputs["Color"].default_value = (0.72, 0.80, 0.92, 1)
     background.inputs["Strength"].default_value = 0.3

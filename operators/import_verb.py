@@ -11,6 +11,7 @@ from ..core.errors import SnergError
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.properties import RELATIVE_PATHS
 from .job_runner import LongVerb
 
 
@@ -20,7 +21,9 @@ class ImportVerb(LongVerb):
     key: ClassVar[str]
     what: ClassVar[str]
 
-    filepath: bpy.props.StringProperty(name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filepath: bpy.props.StringProperty(
+        name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATHS}
+    )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the path first, where there is a window to ask in."""

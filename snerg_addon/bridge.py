@@ -123,7 +123,7 @@ def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
     """Show [H, W, 3 or 4] display-referred values in [0, 1], straight alpha, top row first, as a Blender image.
 
     An 8-bit sRGB image: Blender shows such values unchanged, whatever the scene's view transform is, and what is
-    saved from it is what was seen. An image of that name is reused, so that editors showing it go on showing it.
+    saved from it is what was seen. Editors that show an earlier one go on with the new one.
     """
     height, width = pixels.shape[:2]
     image = _byte_image(name, width, height)
@@ -136,14 +136,17 @@ def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
 
 
 def _byte_image(name: str, width: int, height: int) -> Any:
-    image = bpy.data.images.get(name)
-    if image is not None and (image.is_float or image.source not in ("GENERATED", "FILE")):
-        image.name = f"{name} (old)"  # somebody's own image of that name stays theirs
-        image = None
-    if image is None:
-        image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False)
-    elif tuple(image.size) != (width, height):
-        image.scale(width, height)
+    old = bpy.data.images.get(name)
+    if old is not None and (old.is_float or old.source not in ("GENERATED", "FILE")):
+        old.name = f"{name} (old)"  # somebody's own image of that name stays theirs
+        old = None
+    if old is not None and tuple(old.size) == (width, height):
+        return old
+    image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False)
     image.colorspace_settings.name = "sRGB"
     image.alpha_mode = "STRAIGHT"
+    if old is not None:  # a packed image cannot change its size: whatever showed the old one shows the new one
+        old.user_remap(image)
+        bpy.data.images.remove(old)
+        image.name = name
     return image

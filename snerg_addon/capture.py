@@ -139,7 +139,7 @@ def capture_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
 
     Because every setting is made on the copy, the artist's own are never touched, whatever happens.
     """
-    copy = scene.copy()
+    copy, camera = scene.copy(), scene.camera
     try:
         render, image = copy.render, copy.render.image_settings
         copy.timeline_markers.clear()  # markers bind cameras to frames; ours decides
@@ -156,6 +156,7 @@ def capture_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
         _standard_view(copy)
         yield copy
     finally:
+        scene.camera = camera  # rendering updates every scene's frame, at which a marker may have chosen another
         bpy.data.scenes.remove(copy)
 
 

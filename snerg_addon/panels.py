@@ -116,7 +116,7 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """Cameras, what is rendered, and a folder of one's own."""
-        layout.row().prop(settings, "cameras", expand=True)
+        layout.prop(settings, "cameras")
         column = layout.column(align=True)
         if settings.cameras == "RIG":
             column.prop(settings, "rig_count")

@@ -8,6 +8,9 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
+# Blender 5 marks a path that starts with // red unless it is said to be one that may.
+RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0) else set()
+
 
 def _is_empty(_settings: Any, thing: bpy.types.Object) -> bool:
     return bool(thing.type == "EMPTY")
@@ -20,12 +23,14 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Project Folder",
         description="Where the dataset, the field, the baked scene and the exports go. Beside the .blend file by default",
         subtype="DIR_PATH",
+        options=RELATIVE_PATHS,
         default="//snerg",
     )
     dataset: StringProperty(
         name="Dataset",
         description="A folder with transforms_train.json and its images to train on. Empty: the one rendered into the project folder",
         subtype="DIR_PATH",
+        options=RELATIVE_PATHS,
         default="",
     )
 

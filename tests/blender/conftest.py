@@ -1,0 +1,43 @@
+"""Blender as a module in this process: one scene, emptied before each test, with the add-on registered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def addon() -> Iterator[None]:
+    """The add-on, registered from the source tree."""
+    import snerg
+
+    snerg.register()
+    yield
+    snerg.unregister()
+
+
+@pytest.fixture
+def scene(addon: None, tmp_path: Path) -> Any:
+    """An empty scene with a white world, set to render quickly, whose project lies in a folder of the test's own."""
+    for things in (bpy.data.objects, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights, bpy.data.images):
+        for thing in list(things):
+            things.remove(thing)
+    for other in list(bpy.data.scenes)[1:]:
+        bpy.data.scenes.remove(other)
+    scene = bpy.context.scene
+    for name in scene.snerg.bl_rna.properties.keys():
+        if name not in ("rna_type", "name"):
+            scene.snerg.property_unset(name)
+    scene.snerg.folder = str(tmp_path / "project")
+    render = scene.render
+    render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 32, 24, 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    return scene

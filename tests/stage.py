@@ -1,0 +1,38 @@
+"""Things to put into a Blender scene in a test."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+
+def add_camera(name: str = "Camera", location: tuple[float, float, float] = (0.0, 0.0, 5.0), **settings: Any) -> Any:
+    """A camera that looks down."""
+    data = bpy.data.cameras.new(name)
+    for key, value in settings.items():
+        setattr(data, key, value)
+    camera = bpy.data.objects.new(name, data)
+    camera.location = location
+    bpy.context.scene.collection.objects.link(camera)
+    bpy.context.view_layer.update()
+    return camera
+
+
+def add_plane(size: float = 1.0, location: tuple[float, float, float] = (0.0, 0.0, 0.0), emission: float = 0.5) -> Any:
+    """A square that glows evenly, whatever the light."""
+    half = size / 2
+    mesh = bpy.data.meshes.new("Plane")
+    mesh.from_pydata([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], [], [(0, 1, 2, 3)])
+    material = bpy.data.materials.new("Glow")
+    tree = material.node_tree
+    tree.nodes.clear()
+    glow, out = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    glow.inputs["Color"].default_value = (emission, emission, emission, 1)
+    tree.links.new(glow.outputs[0], out.inputs["Surface"])
+    mesh.materials.append(material)
+    plane = bpy.data.objects.new("Plane", mesh)
+    plane.location = location
+    bpy.context.scene.collection.objects.link(plane)
+    bpy.context.view_layer.update()
+    return plane
