@@ -62,7 +62,7 @@ def cells_of(own: np.ndarray, indirection: np.ndarray) -> tuple[np.ndarray, np.n
     A cell is kept when anything in its 32^3 is not 0, so that half a tent in a neighbour without voxels of its own
     is not lost (hard case 34); one with nothing is dropped.
     """
-    full = own.reshape(len(own), *(DATA_VOXELS,) * 3, -1).any(axis=-1)
+    full = own.reshape(len(own), *(DATA_VOXELS,) * 3, own.shape[-1]).any(axis=-1)
     needed = np.zeros(tuple(n + 2 for n in indirection.shape), bool)
     place = np.argwhere(indirection >= 0)
     for offset in OFFSETS:
