@@ -7,6 +7,6 @@ from collections.abc import Sequence
 
 def run(arguments: Sequence[str]) -> int:
     """Run a verb with Blender's own Python and return the exit code."""
-    from ..core import cli
+    from ..core.cli import main
 
-    return cli.main(list(arguments))
+    return main(list(arguments))

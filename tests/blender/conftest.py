@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import bpy
 import pytest
 
-bpy = pytest.importorskip("bpy")
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -31,7 +31,8 @@ def scene(addon: None, tmp_path: Path) -> Any:
     for other in list(bpy.data.scenes)[1:]:
         bpy.data.scenes.remove(other)
     scene = bpy.context.scene
-    for name in scene.snerg.bl_rna.properties.keys():
+    names = [prop.identifier for prop in scene.snerg.bl_rna.properties]
+    for name in names:
         if name not in ("rna_type", "name"):
             scene.snerg.property_unset(name)
     scene.snerg.folder = str(tmp_path / "project")

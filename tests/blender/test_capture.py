@@ -6,10 +6,9 @@ import json
 import math
 import warnings
 
+import bpy
 import numpy as np
 import pytest
-
-bpy = pytest.importorskip("bpy")
 from mathutils import Euler
 from stage import add_camera, add_plane
 
@@ -46,9 +45,8 @@ def state(scene):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # what Blender is going to remove is still the artist's
         settings = every_setting(scene)
-    lists = {
-        key: sorted(t.name for t in getattr(bpy.data, key)) for key in ("objects", "cameras", "scenes", "meshes", "worlds", "collections")
-    }
+    kinds = ("objects", "cameras", "scenes", "meshes", "worlds", "collections")
+    lists = {kind: sorted(thing.name for thing in getattr(bpy.data, kind)) for kind in kinds}
     return {**settings, **lists}
 
 

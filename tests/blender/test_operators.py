@@ -1,0 +1,171 @@
+"""What an artist can get wrong: one sentence, CANCELLED, and nothing half-written."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import bpy
+import pytest
+from stage import add_camera, add_plane
+
+from snerg.core.errors import Cancelled, SnergError
+from snerg.snerg_addon import activity
+from snerg.snerg_addon.activity import Activity, Steps
+from snerg.snerg_addon.panels import next_step
+from snerg.snerg_addon.project import project_of
+
+
+def refused(verb: str, match: str, **keywords) -> None:
+    """The operator must report an error; from a script, Blender raises it with the report's text."""
+    with pytest.raises(RuntimeError, match=match):
+        getattr(bpy.ops.snerg, verb)(**keywords)
+
+
+def files(scene) -> list[str]:
+    folder = Path(scene.snerg.folder)
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*")) if folder.exists() else []
+
+
+def test_each_step_says_what_it_is_waiting_for(scene):
+    assert next_step(scene) == "Next: render a dataset"
+    for verb, match in (
+        ("train", "no dataset"),
+        ("bake", "no field"),
+        ("preview", "no baked scene"),
+        ("export_scene", "no baked scene"),
+        ("export_web", "no baked scene"),
+    ):
+        refused(verb, match)
+    assert files(scene) == []
+
+
+def test_rendering_without_cameras_or_box_is_refused(scene):
+    refused("render_dataset", "has no camera; add some, or choose Rig")
+    scene.snerg.cameras = "SELECTED"
+    refused("render_dataset", "no camera selected")
+    scene.snerg.cameras = "RIG"
+    refused("render_dataset", "There is no box")
+    scene.snerg.cameras = "ALL"
+    add_camera("All Round", type="PANO")
+    refused("render_dataset", "'All Round' is pano")
+    assert files(scene) == []
+
+
+def test_a_box_without_volume_is_refused(scene):
+    add_camera()
+    empty = bpy.data.objects.new("Flat", None)
+    scene.collection.objects.link(empty)
+    empty.scale = (1, 1, 0)
+    bpy.context.view_layer.update()
+    scene.snerg.box = empty
+    refused("render_dataset", "Flat: The box has no volume")
+    (project_of(scene).field).mkdir(parents=True)
+    (project_of(scene).field / "field.npz").write_bytes(b"not yet a field")
+    refused("bake", "Flat: The box has no volume")
+    scene.snerg.box = None
+    refused("bake", "field.npz|field")
+    assert not project_of(scene).scene.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="permissions are POSIX's")
+def test_an_unwritable_folder_is_refused_before_the_work(scene, tmp_path):
+    add_plane()
+    add_camera()
+    (tmp_path / "file").write_text("in the way")
+    scene.snerg.folder = str(tmp_path / "file" / "project")
+    refused("render_dataset", "not a folder that you can write to")
+
+
+def test_a_dataset_with_a_missing_image_is_refused(scene, tmp_path):
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    scene.snerg.dataset = str(folder)
+    refused("train", "no dataset")
+    (folder / "transforms_train.json").write_text('{"camera_angle_x": 0.7, "frames": []}')
+    refused("train", "no frames")
+    frame = '{"file_path": "./train/r_0", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}'
+    (folder / "transforms_train.json").write_text('{"camera_angle_x": 0.7, "frames": [' + frame + "]}")
+    refused("train", "r_0")
+    assert not project_of(scene).field.exists()
+
+
+def test_importing_what_is_not_there_is_refused(scene, tmp_path):
+    refused("import_field", "No path was given")
+    refused("import_scene", "nowhere", filepath=str(tmp_path / "nowhere"))
+    broken = tmp_path / "checkpoint_100"
+    broken.write_bytes(b"\x81\xa6params")
+    refused("import_field", "checkpoint_100", filepath=str(broken))
+    assert not project_of(scene).field.exists() and not project_of(scene).scene.exists()
+
+
+def test_rendering_from_the_operator_fills_the_project(scene):
+    add_plane()
+    for index in range(4):
+        add_camera(f"Camera {index}", (0, 0, 4 + index))
+    scene.snerg.test_every = 4
+    assert bpy.ops.snerg.render_dataset() == {"FINISHED"}
+    project = project_of(scene)
+    assert project.has("dataset") and project.notes()["dataset"]["train"] == 3
+    assert next_step(scene) == "Next: train a field"
+    assert bpy.ops.snerg.render_dataset() == {"FINISHED"}  # over its own earlier result
+
+
+def test_the_box_fits_round_what_is_selected(scene):
+    near, far = add_plane(size=2.0), add_plane(size=1.0, location=(10, 0, 0))
+    near.select_set(False)
+    far.select_set(True)
+    assert bpy.ops.snerg.add_box() == {"FINISHED"}
+    box = scene.snerg.box
+    assert box.name == "SNeRG Box" and tuple(box.location) == pytest.approx((10, 0, 0), abs=1e-5)
+    assert box.scale.x == pytest.approx(0.525) and box.scale.z > 0
+    box.select_set(False)
+    assert bpy.ops.snerg.add_box() == {"FINISHED"}
+    assert scene.snerg.box.location.x == pytest.approx(4.75)
+
+
+def test_an_unsaved_file_keeps_its_project_in_blenders_temporary_folder(scene):
+    scene.snerg.property_unset("folder")
+    assert project_of(scene).folder == Path(bpy.app.tempdir) / "snerg"
+
+
+def test_only_one_thing_at_a_time():
+    def forever():
+        try:
+            while True:
+                yield 0.5, "working"
+        finally:
+            closed.append(True)
+
+    closed: list[bool] = []
+    work = Steps(forever())
+    activity.begin(Activity("dataset", "Rendering", work))
+    try:
+        with pytest.raises(SnergError, match="Rendering is still under way"):
+            activity.begin(Activity("field", "Training", Steps(iter(()))))
+        refused("render_dataset", "still under way")
+        assert work.poll() and work.message == "working"
+        assert bpy.ops.snerg.cancel() == {"FINISHED"}
+        assert work.cancelling and not work.poll()
+        assert work.state == "cancelled" and closed == [True]
+    finally:
+        activity.end()
+    assert not bpy.ops.snerg.cancel.poll()
+
+
+def test_steps_end_as_jobs_do():
+    def good():
+        yield 0.5, "half"
+        return {"views": 3}
+
+    def bad():
+        yield 0.5, "half"
+        raise SnergError("The scene has no camera.")
+
+    assert Steps(good()).wait() == {"views": 3}
+    with pytest.raises(SnergError, match="no camera"):
+        Steps(bad()).wait()
+    stopped = Steps(good())
+    stopped.cancel()
+    with pytest.raises(Cancelled):
+        stopped.wait()
