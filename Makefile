@@ -30,12 +30,13 @@ $(VENV)/.installed: requirements.txt pyproject.toml | python
 	$(PY) -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
 	touch $@
 
-VIEWER_SOURCES := $(wildcard package.json package-lock.json) $(shell find core/export/viewer -type f -not -path '*/dist/*' 2>/dev/null)
-
-build/viewer.stamp: $(VIEWER_SOURCES)
+node_modules/.installed: package.json package-lock.json
 	@command -v npm >/dev/null || { echo "The web viewer is built with npm; install Node 20 or newer." >&2; exit 2; }
-	npm ci --no-audit --no-fund
-	npm run build
+	npm ci --no-audit --no-fund --loglevel=error
+	touch $@
+
+build/viewer.stamp: node_modules/.installed $(shell find core/export/viewer -type f -not -path '*/dist/*' 2>/dev/null)
+	npm run --silent build
 	mkdir -p build && touch $@
 
 demo: setup
