@@ -51,10 +51,10 @@ class TrainSettings:
     family: Family = HashFamily()
     view_dependence: bool = True
     samples: int = 32768
-    spacing: float = 2 / 512
+    spacing: float = 2 / 320
     rate: float = 2e-2
     final_rate: float = 6e-4
-    network_rate: float = 0.25
+    network_rate: float = 1.0
     beta_2: float = 0.99
     warm_up: int = 64
     sparsity: float = 1e-5
@@ -164,6 +164,10 @@ class Trainer:
         self.optical = self.occupancy.optical(0.0)
         self.samples_per_ray = 32.0
         self.history: list[dict[str, float]] = []
+        self.loss = self.error = 0.0
+        self.bad = 0
+        self.next_batch: tuple[dict[str, Any], int, int] | None = None
+        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray  # before the next batch was drawn
         self._inputs = jax.jit(partial(field_inputs, jnp, settings.family))
         self._density = jax.jit(lambda params, inputs: field_outputs(jnp, settings.family, params, inputs)[0])
         self._step = jax.jit(partial(train_step, settings, self.pool.alpha), donate_argnums=(0, 1))
@@ -180,36 +184,43 @@ class Trainer:
         Raises SnergError when several steps in a row are not finite; the parameters are those before them.
         """
         began = time.perf_counter() - self.elapsed
-        told = last_saved = 0.0
-        mean_loss = mean_error = None
-        bad = 0
-        batch = self.batch()
+        told = kept = 0.0
         while self.fraction() < 1:
-            rate = self.rate()
-            _, samples, rays = batch
-            self.params, self.moments, report = self._step(self.params, self.moments, batch[0], rate, self.step + 1)
-            self.step += 1
-            if self.step % UPDATE_EVERY == 0 or self.step in (16, 32):
-                self.update_occupancy()
-            batch = self.batch()  # while the step runs
-            loss, error, finite = (float(x) for x in report)
-            bad = 0 if finite else bad + 1
-            if bad >= 5:
-                raise SnergError(
-                    f"Training went wrong at step {self.step - bad}: the loss is not finite five times in a row; "
-                    "lower the learning rate, or check the dataset for broken images or poses."
-                )
-            if finite:
-                mean_loss = loss if mean_loss is None else 0.98 * mean_loss + 0.02 * loss
-                mean_error = error if mean_error is None else 0.98 * mean_error + 0.02 * error
+            samples, rays = self.advance()
             self.elapsed = time.perf_counter() - began
             if self.elapsed - told > 0.5 or self.fraction() >= 1:
                 told = self.elapsed
-                psnr = -10 * math.log10(max(mean_error or 1e-10, 1e-10))
-                if told - last_saved > 5 or self.fraction() >= 1:
-                    last_saved = told
-                    self.history.append({"step": self.step, "seconds": round(told, 2), "loss": mean_loss or 0.0, "psnr": round(psnr, 3)})
-                yield TrainProgress(self.fraction(), self.step, mean_loss or 0.0, psnr, self.elapsed, rays, samples)
+                if told - kept > 5 or self.fraction() >= 1:
+                    kept = told
+                    self.history.append({"step": self.step, "seconds": round(told, 2), "loss": self.loss, "psnr": round(self.psnr, 3)})
+                yield TrainProgress(self.fraction(), self.step, self.loss, self.psnr, told, rays, samples)
+
+    def advance(self) -> tuple[int, int]:
+        """One step. Returns how many samples and rays it had. Raises SnergError as `run` does."""
+        batch, samples, rays = self.next_batch or self.batch()
+        self.params, self.moments, report = self._step(self.params, self.moments, batch, self.rate(), self.step + 1)
+        self.step += 1
+        if self.step % UPDATE_EVERY == 0 or self.step in (16, 32):
+            self.update_occupancy()
+        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray
+        self.next_batch = self.batch()  # while the step runs
+        loss, error, finite = (float(x) for x in report)
+        self.bad = 0 if finite else self.bad + 1
+        if self.bad >= 5:
+            raise SnergError(
+                f"Training went wrong at step {self.step - self.bad}: the loss is not finite five times in a row; "
+                "lower the learning rate, or check the dataset for broken images or poses."
+            )
+        if finite:
+            keep = 0.98 if self.loss else 0.0
+            self.loss = keep * self.loss + (1 - keep) * loss
+            self.error = keep * self.error + (1 - keep) * error
+        return samples, rays
+
+    @property
+    def psnr(self) -> float:
+        """Of the training rays, dB, running mean."""
+        return -10 * math.log10(max(self.error, 1e-10))
 
     def rate(self) -> float:
         """Learning rate now: log-linear decay after a linear warm-up from a tenth (section 6)."""
@@ -312,8 +323,8 @@ class Trainer:
         leaves = jax.tree.leaves((self.params, self.moments))
         arrays = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
         arrays |= {"alive": self.occupancy.alive, "most": self.occupancy.most, "least": self.occupancy.least, "optical": self.optical}
-        arrays["clock"] = np.array([self.step, self.elapsed, self.samples_per_ray], np.float64)
-        arrays["random"] = np.frombuffer(repr(self.rng.bit_generator.state).encode(), np.uint8)
+        arrays["clock"] = np.array([self.step, self.elapsed, self.drawn_from[1]], np.float64)
+        arrays["random"] = np.frombuffer(repr(self.drawn_from[0]).encode(), np.uint8)
         return arrays
 
     def restore(self, state: dict[str, np.ndarray], history: list[dict[str, float]]) -> None:
@@ -329,6 +340,7 @@ class Trainer:
         from ast import literal_eval
 
         self.rng.bit_generator.state = literal_eval(state["random"].tobytes().decode())
+        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray
         self.history = list(history)
 
 

@@ -32,7 +32,7 @@ class MarchSettings:
     skip: jump over empty voxels; the picture is the same without, only later.
     """
 
-    stop_transmittance: float = 2e-4
+    stop_transmittance: float = 4e-5
     batch: int = 12288
     threads: int = 2
     skip: bool = True

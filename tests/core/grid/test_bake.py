@@ -1,0 +1,173 @@
+"""Baking against fields whose values are known, and refining on what came out."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from scenes import looking, make_dataset, random_network
+
+from snerg.core.capture.camera import Camera
+from snerg.core.capture.dataset import read_dataset
+from snerg.core.errors import Cancelled, SnergError
+from snerg.core.field.networks import ViewNetwork
+from snerg.core.field.sampling import Domain
+from snerg.core.grid.bake import BakeSettings, Lattice, bake
+from snerg.core.grid.box import Box
+from snerg.core.grid.march import march
+from snerg.core.grid.refine import RefineSettings, refine
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A field by arithmetic: a ball of constant density, or of density by `shape`, coloured by place."""
+
+    radius: float = 0.6
+    density: float = 400.0
+    network: ViewNetwork | None = None
+    centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    occupancy: None = None
+    domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
+
+    def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        local = points - self.centre
+        density = np.where(np.linalg.norm(local, axis=-1) < self.radius, self.density, 0).astype(np.float32)
+        return density, np.clip(0.5 + 0.5 * local, 0, 1).astype(np.float32), np.full((len(points), 4), 0.25, np.float32)
+
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        return np.ones(len(x), bool)
+
+
+BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
+
+
+def camera_at(eye, size=64, near=0.0) -> Camera:
+    return Camera(size, size, (1.2 * size, 1.2 * size), (size / 2, size / 2), looking(eye, (0, 0, 0)), near=near)
+
+
+def test_lattice_covers_the_box_and_a_voxel_more():
+    lattice = Lattice.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 64)
+    assert lattice.shape == (66, 34, 18)
+    assert np.allclose(lattice.world(np.array([[1, 1, 1]]) - 0.5), 0)
+
+
+@pytest.mark.hard_case(6, 39)
+@pytest.mark.parametrize("angles", [(0, 0, 0), (0.5, 0.2, 0.3)])
+def test_a_baked_ball_is_the_ball(angles):
+    from scenes import rotation
+
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(angles)
+    snerg = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=8))
+    frame = march(snerg, camera_at((0, -3.5, 0.5)))
+    origins, directions = camera_at((0, -3.5, 0.5)).rays()
+    closest = np.linalg.norm(np.cross(origins, directions), axis=-1).reshape(64, 64)
+    assert (frame.alpha[closest < 0.55] > 0.99).all() and (frame.alpha[closest > 0.66] < 0.01).all()
+    middle = frame.straight()[32, 32]
+    assert middle[:3] == pytest.approx([0.5, 0.5 - 0.5 * 0.6, 0.55], abs=0.06)
+
+
+@pytest.mark.hard_case(18, 52)
+def test_fog_keeps_its_optical_depth():
+    snerg = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
+    frame = march(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
+    assert frame.alpha[4, 4] == pytest.approx(-np.expm1(-0.5 * 1.2), abs=0.02)
+
+
+@pytest.mark.hard_case(44)
+def test_a_sheet_of_one_voxel_is_found_wherever_it_lies():
+    class Sheet(Ball):
+        def query(self, points):
+            density = np.where(np.abs(points[:, 0] - self.radius) < 1 / 60, 400.0, 0).astype(np.float32)
+            return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
+
+    for at in np.random.default_rng(0).uniform(-0.9, 0.9, 6):
+        snerg = bake(Sheet(radius=at), BOX, (), BakeSettings(60, samples=2))
+        eye = (-4, 0, 0) if at < 0 else (4, 0, 0)
+        frame = march(snerg, camera_at(eye, 16))
+        assert frame.alpha[4:12, 4:12].min() > 0.9
+
+
+def test_what_no_camera_sees_is_left_out():
+    eyes = [(3, 0, 0.2), (-3, 0, 0.1), (0, 3, 0), (0, -3, 0.3), (0.2, 0.1, 3), (0.3, 0, -3)]
+    cameras = [camera_at(eye, 96) for eye in eyes]
+    whole, seen = bake(Ball(), BOX, (), BakeSettings(90, samples=2)), bake(Ball(), BOX, cameras, BakeSettings(90, samples=2))
+    filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
+    assert filled[1] < 0.6 * filled[0]  # the inside is gone
+    for camera in cameras:
+        assert np.abs(march(whole, camera).over() - march(seen, camera).over()).max() < 3 / 255
+
+
+@pytest.mark.hard_case(48)
+def test_the_jitter_moves_nothing_and_is_seeded():
+    snerg = bake(Ball(radius=0.3), BOX, (), BakeSettings(40, samples=4))
+    again = bake(Ball(radius=0.3), BOX, (), BakeSettings(40, samples=4))
+    assert np.array_equal(snerg.cells, again.cells)
+    own = snerg.cells[:, 1:-1, 1:-1, 1:-1, -1].astype(np.float64)
+    place = np.argwhere(snerg.indirection >= 0)
+    index = np.indices((30, 30, 30)).reshape(3, -1).T
+    voxels = (place[:, None] * 30 + index + 0.5).reshape(-1, 3)
+    centroid = (voxels * own.reshape(-1, 1)).sum(axis=0) / own.sum()
+    assert np.abs(centroid - np.array(snerg.shape) / 2).max() < 0.01
+
+
+@pytest.mark.hard_case(49)
+def test_half_a_voxel_of_solid_stops_half_the_light():
+    """The mean opacity is kept where the mean density would stop everything."""
+    snerg = bake(Ball(radius=0.6, density=1e6), BOX, (), BakeSettings(20, samples=64))
+    alpha = snerg.cells[..., -1]
+    edge = alpha[(alpha > 0) & (alpha < 255)] / 255
+    assert 0.35 < edge.mean() < 0.65
+
+
+@pytest.mark.hard_case(57)
+def test_an_empty_box_is_a_valid_scene_and_says_so():
+    snerg = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
+    assert len(snerg.cells) == 0 and "holds nothing" in snerg.about["bake"]["warning"]
+    assert not march(snerg, camera_at((3, 0, 0), 8)).alpha.any()
+
+
+@pytest.mark.hard_case(36)
+def test_a_floor_on_the_face_of_the_box_survives():
+    class Floor(Ball):
+        def query(self, points):
+            density = np.where(points[:, 2] < -1 + 2 / 64, 400.0, 0).astype(np.float32)
+            return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
+
+    snerg = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, samples=2))
+    assert march(snerg, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.95
+
+
+def test_cancelled_between_batches():
+    def stop(fraction: float, what: str) -> None:
+        raise Cancelled("Stopped.")
+
+    with pytest.raises(Cancelled):
+        bake(Ball(), BOX, (), BakeSettings(32), stop)
+
+
+@pytest.mark.parametrize("settings", [{"resolution": 0}, {"resolution": 10**6}, {"samples": 0}])
+def test_settings_that_make_no_sense(settings):
+    with pytest.raises(SnergError):
+        BakeSettings(**settings)
+
+
+def test_a_box_without_volume():
+    with pytest.raises(SnergError, match="sides"):
+        Box.axis_aligned([0, 0, 0], [1, 0, 1])
+
+
+def test_refining_gains_and_never_loses(tmp_path):
+    dataset = read_dataset(make_dataset(tmp_path / "data"))
+    ball = Ball(radius=0.9, network=random_network(3))
+    snerg = bake(ball, BOX, dataset.cameras, BakeSettings(40, samples=2))
+    better, report = refine(snerg, dataset, RefineSettings(epochs=6))
+    assert report["psnr_after"] > report["psnr_before"] + 0.5
+    assert better.network is not None and not np.array_equal(better.network.weights_2, snerg.network.weights_2)
+    again, _ = refine(snerg, dataset, RefineSettings(epochs=6))
+    assert np.array_equal(again.network.weights_0, better.network.weights_0)
+
+
+def test_a_diffuse_scene_is_not_refined(tmp_path):
+    snerg = bake(Ball(), BOX, (), BakeSettings(32, samples=1))
+    same, report = refine(snerg, read_dataset(make_dataset(tmp_path / "data")))
+    assert same is snerg and "diffuse" in report["skipped"] and snerg.cells.shape[-1] == 4

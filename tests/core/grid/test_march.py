@@ -1,0 +1,142 @@
+"""The marcher against the plain float64 one, and against closed forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracle import dense_march, dense_rays
+from scenes import empty_snerg, make_cameras, make_snerg, snerg_from_volume
+
+from snerg.core.capture.camera import Camera
+from snerg.core.errors import Cancelled
+from snerg.core.grid.march import MarchSettings, chebyshev, march, march_rays, tables_of
+
+ANGLES = (0.4, -0.3, 0.8)
+CENTRE = (0.3, -0.2, 0.1)
+
+
+def small_cameras(centre=CENTRE):
+    return make_cameras(centre, width=48, height=36)
+
+
+@pytest.mark.hard_case(2, 3, 33, 34, 36, 37, 42, 43)
+@pytest.mark.parametrize("diffuse", [False, True])
+@pytest.mark.parametrize("index", range(6))
+def test_equals_the_dense_march(diffuse, index):
+    snerg = make_snerg(diffuse=diffuse, angles=ANGLES, centre=CENTRE)
+    camera = small_cameras()[index]
+    got, truth = march(snerg, camera), dense_march(snerg, camera)
+    assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
+    assert np.abs(got.over() - truth.over()).max() < 5e-4  # the network amplifies what it is given
+    seen = got.alpha > 0.01
+    depth = truth.depth[seen] / (1 - truth.transmittance[seen])
+    assert np.abs(got.depth[seen] - depth).max() < 1e-2
+
+
+@pytest.mark.hard_case(33, 34)
+def test_composited_values_equal_the_dense_march():
+    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    origins, directions = small_cameras()[1].rays()
+    values, through, _ = dense_rays(snerg, origins, directions, 0.0)
+    got = march_rays(snerg, origins, directions)
+    assert np.abs(got.colour - values[:, :3]).max() < 1e-4
+    assert np.abs(got.features - values[:, 3:]).max() < 1e-4
+    assert np.abs(got.transmittance - through).max() < 1e-4
+
+
+@pytest.mark.hard_case(33)
+def test_skipping_changes_nothing():
+    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    for camera in small_cameras():
+        with_skip, without = march(snerg, camera), march(snerg, camera, MarchSettings(skip=False))
+        assert np.abs(with_skip.colour - without.colour).max() < 1e-6
+        assert np.abs(with_skip.alpha - without.alpha).max() < 1e-6
+
+
+@pytest.mark.hard_case(35)
+def test_a_ray_does_not_depend_on_its_batch():
+    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    camera = small_cameras()[0]
+    whole, split = march(snerg, camera), march(snerg, camera, MarchSettings(batch=37, threads=1))
+    assert np.array_equal(whole.colour, split.colour)
+    assert np.array_equal(whole.alpha, split.alpha)
+
+
+@pytest.mark.hard_case(6)
+def test_far_from_the_origin_is_the_same_picture():
+    far = (1e6, -1e6, 1e6)
+    near_frame = march(make_snerg(angles=ANGLES), small_cameras((0, 0, 0))[1])
+    far_frame = march(make_snerg(angles=ANGLES, centre=far), small_cameras(far)[1])
+    assert np.abs(near_frame.over() - far_frame.over()).max() < 1 / 255
+
+
+@pytest.mark.hard_case(31, 32)
+def test_axis_parallel_rays_through_faces_edges_and_corners_are_finite():
+    snerg = make_snerg()
+    low, high = snerg.box.size / -2, snerg.box.size / 2
+    draw = np.random.default_rng(0)
+    count = 2000
+    origins = draw.choice([-3.0, 3.0, low[0], high[0], 0.0], (count, 3))
+    directions = draw.choice([-1.0, 0.0, 1.0, -0.0, 1e-310], (count, 3))
+    directions[np.abs(directions).max(axis=-1) < 1] = [0, 0, 1]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    got = march_rays(snerg, origins, directions)
+    truth = dense_rays(snerg, origins, np.where(np.abs(directions) < 1e-12, 0, directions), 0.0)
+    assert np.isfinite(got.colour).all()
+    # A ray exactly in the plane of a face may be in or out by a rounding; all others must agree.
+    differs = np.abs(got.transmittance - truth[1]) > 1e-4
+    assert differs.mean() < 0.01
+
+
+@pytest.mark.hard_case(39)
+def test_a_slab_is_as_thick_as_it_is_in_the_world():
+    values = np.zeros((60, 60, 60, 4), np.uint8)
+    values[..., 3] = 26
+    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    got = march_rays(snerg, np.array([[0.3, 0.3, -1]]), np.array([[0.0, 0, 1]]))
+    # 60 samples a voxel apart; the first and last stand on the outer voxels' centres.
+    assert got.transmittance[0] == pytest.approx((1 - 26 / 255) ** 60, rel=1e-3)
+
+
+def test_depth_of_a_wall():
+    values = np.zeros((60, 60, 60, 4), np.uint8)
+    values[:, :, 30:, :] = 255
+    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    camera = Camera(3, 3, (1e3, 1e3), (1.5, 1.5), np.diag([1.0, -1, -1, 1]) + np.array([[0, 0, 0, 0.3], [0, 0, 0, 0.3], [0, 0, 0, -1], [0] * 4]))
+    frame = march(snerg, camera)
+    assert frame.alpha[1, 1] == pytest.approx(1, abs=1e-4)
+    assert frame.depth[1, 1] == pytest.approx(1.3, abs=0.011)
+
+
+@pytest.mark.hard_case(57)
+def test_an_empty_scene_is_an_empty_picture():
+    snerg = replace(empty_snerg())
+    frame = march(snerg, make_cameras(width=16, height=12)[0])
+    assert not frame.alpha.any() and not frame.colour.any() and np.isinf(frame.depth).all()
+    assert (frame.over() == 1).all()
+
+
+def test_progress_can_cancel():
+    def stop(fraction: float, what: str) -> None:
+        raise Cancelled("Stopped.")
+
+    with pytest.raises(Cancelled):
+        march(make_snerg(), small_cameras()[0], progress=stop)
+
+
+def test_chebyshev_distance():
+    occupied = np.zeros((9, 9, 9), bool)
+    occupied[4, 4, 4] = True
+    x, y, z = np.indices(occupied.shape)
+    expected = np.maximum(np.maximum(abs(x - 4), abs(y - 4)), abs(z - 4))
+    assert np.array_equal(chebyshev(occupied, 10), expected)
+    assert chebyshev(occupied, 2).max() == 2
+
+
+def test_visited_voxels_are_the_blocks_own():
+    snerg = make_snerg(diffuse=True)
+    visited = np.zeros(len(tables_of(snerg).words), bool)
+    origins, directions = small_cameras((0, 0, 0))[0].rays()
+    march_rays(snerg, origins, directions, visited=visited)
+    cells = visited.reshape(-1, 32, 32, 32)
+    assert cells.any() and cells[:, 1:-1, 1:-1, 1:-1].sum() == cells.sum()
