@@ -1,0 +1,121 @@
+"""The web bundle: a baked scene and the page that shows it, for any static server or as one file that opens from the disk.
+
+The page's script (viewer/src and the part of three.js that it uses) is put together once, by `npm run build`; what is written
+here needs no npm, no network and no server-side code.
+"""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..capture.camera import Camera
+from ..errors import SnergError
+from ..files import cannot_write, json_bytes, new_folder
+from ..grid.snerg import Snerg
+from .scene import write_scene_files
+
+VIEWER = Path(__file__).parent / "viewer"
+SCRIPT_TAG = "<script src=\"viewer.js\" onerror=\"snergProblem('The file viewer.js is missing or did not arrive. Upload the whole folder of the page.')\"></script>"
+FILES_MARK = "<!-- files -->"
+Progress = Callable[[float, str], None]
+
+
+def write_bundle(
+    snerg: Snerg,
+    cameras: Sequence[Camera],
+    folder: Path,
+    single_file: bool = False,
+    progress: Progress = lambda fraction, what: None,
+) -> dict[str, Any]:
+    """Write index.html, viewer.js, cameras.json and scene/ (see scene.write_scene_files), whole or not at all.
+
+    cameras: what the page lists to jump to; it opens at the first. single_file: index.html alone, with the rest inside it.
+    Returns {"files": how many, "bytes": in all}. Raises SnergError when `folder` cannot be written or the viewer is not built.
+    """
+    page, script = viewer_files()
+    with new_folder(folder) as temporary:
+        if single_file:
+            write_single_file(snerg, cameras, temporary, page, script, progress)
+        else:
+            (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
+            (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
+            write_data(snerg, cameras, temporary, progress)
+        files = [path for path in temporary.rglob("*") if path.is_file()]
+        return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
+
+
+def viewer_files() -> tuple[str, str]:
+    """The page and its script. Raises SnergError when the script has not been built."""
+    script = VIEWER / "dist" / "viewer.js"
+    try:
+        return (VIEWER / "index.html").read_text(encoding="utf-8"), script.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SnergError(
+            f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
+        ) from error
+
+
+def write_data(snerg: Snerg, cameras: Sequence[Camera], folder: Path, progress: Progress) -> None:
+    """cameras.json and scene/, what the page reads."""
+    (folder / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
+    (folder / "scene").mkdir()
+    write_scene_files(snerg, folder / "scene", progress)
+
+
+def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
+    """Every camera in full: pixels from the top left corner, OpenGL camera-to-world, world units."""
+    return {
+        "format": "snerg-cameras",
+        "version": 1,
+        "cameras": [
+            {
+                "name": camera.name,
+                "projection": camera.projection,
+                "width": camera.width,
+                "height": camera.height,
+                "focal": [float(f) for f in camera.focal],
+                "centre": [float(c) for c in camera.centre],
+                "near": float(camera.near),
+                "camera_to_world": camera.camera_to_world.tolist(),
+            }
+            for camera in cameras
+        ],
+    }
+
+
+def write_single_file(
+    snerg: Snerg, cameras: Sequence[Camera], folder: Path, page: str, script: str, progress: Progress
+) -> None:
+    """index.html with the script and, as base64, every file in it, written piece by piece."""
+    before, between, after = split_page(page)
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
+            data = Path(name)
+            write_data(snerg, cameras, data, progress)
+            with open(folder / "index.html", "w", encoding="utf-8", newline="\n") as file:
+                file.write(before)
+                for tag in embedded(data):
+                    file.write(tag)
+                # Within a script, "</script" would end it and "<!--" could hide its end; in JavaScript both only occur in strings.
+                file.write(between + "<script>" + script.replace("</script", "<\\/script").replace("<!--", "<\\!--") + "</script>" + after)
+    except OSError as error:
+        raise cannot_write(folder, error) from error
+
+
+def split_page(page: str) -> tuple[str, str, str]:
+    """The page up to where files go, up to the script, and after it."""
+    before, between_and_after = page.split(FILES_MARK)
+    between, after = between_and_after.split(SCRIPT_TAG)
+    return before, between, after
+
+
+def embedded(folder: Path) -> Iterator[str]:
+    """A tag for each file, which the viewer finds by its name."""
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            text = base64.b64encode(path.read_bytes()).decode("ascii")
+            yield f'<script type="text/plain" data-file="{path.relative_to(folder).as_posix()}">{text}</script>\n'

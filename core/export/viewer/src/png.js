@@ -1,0 +1,78 @@
+// PNG to the bytes that were written. A canvas or an <img> would premultiply by alpha, convert colours or add noise against
+// fingerprinting; values premultiplied with a low alpha would not survive any of it.
+import { EXPORT_AGAIN, Problem } from "./problem.js";
+
+const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
+
+/** The pixels, row by row, of an 8-bit PNG that must have exactly this size and number of channels (3 or 4). */
+export async function decodePng(bytes, name, width, height, channels) {
+  const damaged = (why) => new Problem(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
+  if (SIGNATURE.some((value, i) => bytes[i] !== value)) throw damaged("it is not a PNG");
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  const parts = [];
+  let header = null;
+  for (let at = 8; at + 12 <= bytes.length; ) {
+    const length = view.getUint32(at);
+    const type = String.fromCharCode(...bytes.subarray(at + 4, at + 8));
+    const body = bytes.subarray(at + 8, at + 8 + length);
+    if (body.length < length) throw damaged("it is cut short");
+    if (type === "IHDR") header = [view.getUint32(at + 8), view.getUint32(at + 12), ...bytes.subarray(at + 16, at + 21)];
+    if (type === "IDAT") parts.push(body);
+    at += 12 + length;
+  }
+  const expected = [width, height, 8, channels === 4 ? 6 : 2, 0, 0, 0];
+  if (!header || expected.some((value, i) => header[i] !== value)) {
+    throw damaged(`it is not the picture of ${width} x ${height} pixels and ${channels} channels that belongs here`);
+  }
+  const raw = await inflate(parts).catch(() => {
+    throw damaged("its contents cannot be read");
+  });
+  const stride = width * channels;
+  if (raw.length !== height * (stride + 1)) throw damaged("it is cut short");
+  if (!unfilter(raw, height, stride, channels)) throw damaged("its contents cannot be read");
+  return raw.subarray(0, height * stride);
+}
+
+async function inflate(parts) {
+  const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+/** Undo the filters in place, closing the gaps that the filter bytes leave: what is written always lies behind what is read. */
+function unfilter(raw, height, stride, channels) {
+  for (let row = 0; row < height; row++) {
+    const from = row * (stride + 1) + 1;
+    const to = row * stride;
+    const above = row > 0 ? to - stride : -1;
+    const filter = raw[from - 1];
+    if (filter === 0) {
+      raw.copyWithin(to, from, from + stride);
+    } else if (filter === 1) {
+      for (let i = 0; i < stride; i++) raw[to + i] = raw[from + i] + (i >= channels ? raw[to + i - channels] : 0);
+    } else if (filter === 2) {
+      for (let i = 0; i < stride; i++) raw[to + i] = raw[from + i] + (above >= 0 ? raw[above + i] : 0);
+    } else if (filter === 3) {
+      for (let i = 0; i < stride; i++) {
+        const left = i >= channels ? raw[to + i - channels] : 0;
+        raw[to + i] = raw[from + i] + ((left + (above >= 0 ? raw[above + i] : 0)) >> 1);
+      }
+    } else if (filter === 4) {
+      for (let i = 0; i < stride; i++) {
+        const left = i >= channels ? raw[to + i - channels] : 0;
+        const up = above >= 0 ? raw[above + i] : 0;
+        raw[to + i] = raw[from + i] + paeth(left, up, i >= channels && above >= 0 ? raw[above + i - channels] : 0);
+      }
+    } else {
+      return false;
+    }
+  }
+  return true;
+}
+
+function paeth(left, up, corner) {
+  const a = Math.abs(up - corner);
+  const b = Math.abs(left - corner);
+  const c = Math.abs(left + up - 2 * corner);
+  if (a <= b && a <= c) return left;
+  return b <= c ? up : corner;
+}
