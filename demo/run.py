@@ -96,7 +96,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--size", type=int, default=SIZE, help="pixels a side (default: %(default)s)")
     parser.add_argument("--cameras", type=int, default=CAMERAS, help="every eighth is held out (default: %(default)s)")
-    parser.add_argument("--minutes", type=float, default=2.5, help="of training (default: %(default)s)")
+    parser.add_argument("--minutes", type=float, default=3.0, help="of training (default: %(default)s)")
     parser.add_argument("--resolution", type=int, default=320, help="voxels along the longest side (default: %(default)s)")
     return parser.parse_args()
 
