@@ -76,7 +76,7 @@ void main() {
         if (empty > 0.0) {
           vec3 nearest = (vec3(coarse) + 1.0 - empty) * 4.0;
           float exit = leaves(entry, inverse, nearest - offset, nearest + (2.0 * empty - 1.0) * 4.0 - offset);
-          k = max(k + 1, stepAt(exit));
+          k = min(max(k + 1, stepAt(exit)), last); // past its own border a cell knows nothing
           continue;
         }
       }

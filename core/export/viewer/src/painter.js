@@ -133,6 +133,7 @@ export class Painter {
     this.drawn = { pixels: into.width * rows, since: performance.now(), full: into === this.full, width: into.width, height: into.height };
     this.sync = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.gl.flush();
+    this.schedule(2);
   }
 
   /** Copy rows of a target, stretched to the page's size, to the page. The canvas forgets between pictures, so all rows are shown. */
