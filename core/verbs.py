@@ -23,11 +23,12 @@ from .capture.dataset import Dataset, read_dataset
 from .capture.images import png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
 from .errors import SnergError
+from .export.bundle import viewer_files, write_bundle
 from .export.reference import is_reference, read_params, read_reference, write_reference
 from .export.scene import is_scene, read_scene, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
-from .files import check_replaceable, json_bytes, new_folder
+from .files import MARK, check_replaceable, json_bytes, new_folder, read_json
 from .grid.box import Box
 from .grid.march import Frame, MarchSettings, march, tables_of
 from .grid.snerg import Snerg
@@ -112,11 +113,11 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
     Raises SnergError when `source` is neither, or damaged.
     """
     kind = kind_of(source)
-    check_out(out, {"reference scene": "scene", "checkpoint": "field"}.get(kind, kind), source)
+    check_out(out, {"reference scene": "scene", "page": "scene", "checkpoint": "field"}.get(kind, kind), source)
     if kind == "reference scene":
         write_scene(read_reference(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
-    elif kind == "scene":
-        write_scene(read_scene(source), out, progress)
+    elif kind in ("scene", "page"):
+        write_scene(any_scene(source), out, progress)
     elif kind == "field":
         write_field(read_field(source), out)
     elif kind == "checkpoint":
@@ -236,7 +237,7 @@ def renderer_of(target: Path) -> tuple[str, Callable[[Camera, Progress], Frame]]
             from .field.render import render_field
         field = read_field(target) if kind == "field" else field_of(read_reference_checkpoint(target), str(target))
         return "field", lambda camera, progress: render_field(field, camera, progress)
-    if kind in ("scene", "reference scene"):
+    if kind in ("scene", "reference scene", "page"):
         snerg = any_scene(target)
         tables_of(snerg)  # once a scene, not a view
         return "scene", lambda camera, progress: march(snerg, camera, MarchSettings(), progress)
@@ -317,12 +318,11 @@ def bundle_scene(scene: Path, out: Path, cameras: Path | None = None, single_fil
 
     cameras: a transforms file whose cameras the page lists.
     """
-    from .export.bundle import write_bundle
-
     check_out(out, "page", scene, *([cameras] if cameras else []))
+    viewer_files()
     views = read_cameras(cameras) if cameras else ()
-    write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress)
-    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "bytes": folder_bytes(out)}
+    written = write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress)
+    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), **written}
 
 
 def info(path: Path, progress: Progress = silent) -> Result:
@@ -337,12 +337,13 @@ def info(path: Path, progress: Progress = silent) -> Result:
         "checkpoint": lambda p: _field_info(field_of(read_reference_checkpoint(p), str(p))),
         "scene": lambda p: _scene_info(read_scene(p)),
         "reference scene": _reference_info,
+        "page": _page_info,
     }[kind](path)
     return {"kind": kind, "path": str(path), **about, "megabytes": round(folder_bytes(path) / 1e6, 3)}
 
 
 def kind_of(path: Path) -> str:
-    """'scene', 'field', 'reference scene', 'dataset' or 'checkpoint'. Raises SnergError when it is none of these."""
+    """'scene', 'field', 'reference scene', 'page', 'dataset' or 'checkpoint'. Raises SnergError when it is none of these."""
     if not path.exists():
         raise SnergError(f"{path} does not exist; check the path.")
     if path.is_dir() and is_scene(path):
@@ -351,6 +352,8 @@ def kind_of(path: Path) -> str:
         return "field"
     if path.is_dir() and is_reference(path):
         return "reference scene"
+    if (path / "index.html").is_file() and (path / MARK).is_file():
+        return "page"
     if path.suffix == ".json" or (path.is_dir() and any(path.glob("transforms*.json"))):
         return "dataset"
     if find_checkpoint(path) is not None:
@@ -359,8 +362,10 @@ def kind_of(path: Path) -> str:
 
 
 def any_scene(path: Path) -> Snerg:
-    """A baked scene of ours or in the reference layout."""
+    """A baked scene of ours, in a folder or in a web page's, or one in the reference layout."""
     kind = kind_of(path)
+    if kind == "page" and is_scene(path / "scene"):
+        return read_scene(path / "scene")
     if kind == "scene":
         return read_scene(path)
     if kind == "reference scene":
@@ -411,6 +416,13 @@ def _scene_info(snerg: Snerg) -> Result:
 def _reference_info(path: Path) -> Result:
     params = read_params(path)
     return {"atlas_cells": list(params.atlas), **_scene_info(read_reference(path))}
+
+
+def _page_info(path: Path) -> Result:
+    if not is_scene(path / "scene"):
+        return {"single_file": True}
+    cameras = read_json(path / "cameras.json")["cameras"]
+    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_scene_info(read_scene(path / "scene"))}
 
 
 def folder_bytes(path: Path) -> int:

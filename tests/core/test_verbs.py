@@ -177,6 +177,21 @@ def test_exporting_the_reference_layout(tmp_path, scene):
     assert result["kind"] == "reference scene" and result["blocks"] == len(read_scene(scene).cells)
 
 
+@pytest.mark.parametrize("single_file", [False, True])
+def test_bundling_a_web_page(tmp_path, scene, single_file):
+    cameras = make_cameras(width=64, height=48)[:2]
+    write_transforms(tmp_path / "cameras.json", cameras, [camera.name for camera in cameras])
+    for _ in range(2):  # the second replaces the first
+        result = verbs.bundle_scene(scene, tmp_path / "web", tmp_path / "cameras.json", single_file)
+    assert result["cameras"] == 2 and (tmp_path / "web" / "index.html").is_file() and result["bytes"] > 1000
+    about = verbs.info(tmp_path / "web")
+    assert about["kind"] == "page" and about["single_file"] == single_file
+    if not single_file:
+        assert about["cameras"] == ["Front", "Shifted, rolled"]
+        verbs.import_source(tmp_path / "web", tmp_path / "back")
+        assert np.array_equal(read_scene(tmp_path / "back").cells, read_scene(scene).cells)
+
+
 def test_what_an_output_must_not_replace(tmp_path, scene, dataset, checkpoint):
     with pytest.raises(SnergError, match="made from"):
         verbs.export_reference(scene, scene)
