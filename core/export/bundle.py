@@ -19,7 +19,7 @@ from ..grid.snerg import Snerg
 from .scene import write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
-SCRIPT_TAG = "<script src=\"viewer.js\" onerror=\"snergProblem('The file viewer.js is missing or did not arrive. Upload the whole folder of the page.')\"></script>"
+SCRIPT_TAG = '<script src="viewer.js" onerror="snergProblem(\'The file viewer.js is missing or did not arrive. Upload the whole folder of the page.\')"></script>'
 FILES_MARK = "<!-- files -->"
 Progress = Callable[[float, str], None]
 
@@ -87,9 +87,7 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
     }
 
 
-def write_single_file(
-    snerg: Snerg, cameras: Sequence[Camera], folder: Path, page: str, script: str, progress: Progress
-) -> None:
+def write_single_file(snerg: Snerg, cameras: Sequence[Camera], folder: Path, page: str, script: str, progress: Progress) -> None:
     """index.html with the script and, as base64, every file in it, written piece by piece."""
     before, between, after = split_page(page)
     try:

@@ -41,9 +41,7 @@ def slices(cells: np.ndarray, blocks: tuple[int, int, int]) -> Iterator[np.ndarr
             yield planes[z : z + PLANES].reshape(PLANES * by * n, bx * n, c)
 
 
-def cells_from_slices(
-    read: Callable[[int], np.ndarray], blocks: tuple[int, int, int], count: int, channels: int
-) -> np.ndarray:
+def cells_from_slices(read: Callable[[int], np.ndarray], blocks: tuple[int, int, int], count: int, channels: int) -> np.ndarray:
     """Undo `slices`: `read(i)` gives picture i; returns uint8 [count, 32, 32, 32, channels]."""
     bx, by, bz = blocks
     n = CELL_VOXELS

@@ -15,5 +15,3 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
     small = xnp.where(large, 1.0, density)  # the branch not taken must have a finite gradient too
     big = xnp.where(large, density, 1.0)
     return xnp.where(large, 2 * xnp.log(big) - math.log(c), xnp.log1p(small * small / c))
-
-

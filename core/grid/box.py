@@ -69,9 +69,7 @@ class Box:
                 return cls.axis_aligned(value["min"], value["max"])
             return cls(np.array(value["box_to_world"], np.float64), np.array(value["size"], np.float64))
         except (KeyError, TypeError, ValueError) as error:
-            raise SnergError(
-                f'{where} is not a box: it needs "min" and "max", or "box_to_world" and "size", or "matrix".'
-            ) from error
+            raise SnergError(f'{where} is not a box: it needs "min" and "max", or "box_to_world" and "size", or "matrix".') from error
 
     @classmethod
     def read(cls, path: Path) -> Box:

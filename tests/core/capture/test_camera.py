@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
-from scenes import looking, make_cameras
 
+from scenes import looking, make_cameras
 from snerg.core.capture.camera import Camera, focal_from_angle, rigid
 from snerg.core.capture.dataset import focus_box
 from snerg.core.errors import SnergError
-from snerg.core.field.train import PixelPool
 from snerg.core.field.sampling import Domain
+from snerg.core.field.train import PixelPool
 
 
 @pytest.mark.hard_case(1, 2, 3)
@@ -51,7 +51,9 @@ def test_scale_changes_no_ray():
 
 
 @pytest.mark.hard_case(5)
-@pytest.mark.parametrize("bad", [np.diag([-1.0, 1, 1, 1]), np.diag([1.0, 0, 1, 1]), np.full((4, 4), np.nan), np.ones((4, 4)), np.ones((2, 2))])
+@pytest.mark.parametrize(
+    "bad", [np.diag([-1.0, 1, 1, 1]), np.diag([1.0, 0, 1, 1]), np.full((4, 4), np.nan), np.ones((4, 4)), np.ones((2, 2))]
+)
 def test_poses_that_are_none(bad):
     with pytest.raises(SnergError, match="pose"):
         rigid(bad, "Camera 'A'")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenes import make_cameras, make_dataset
 
+from scenes import make_cameras, make_dataset
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.capture.images import linear_to_srgb, png_bytes, read_image, srgb_to_linear, write_png
 from snerg.core.capture.readers.transforms import read_cameras, write_transforms

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from oracle import dense_march, dense_rays
 from scenes import empty_snerg, make_cameras, make_snerg, snerg_from_volume
-
 from snerg.core.capture.camera import Camera
 from snerg.core.errors import Cancelled
 from snerg.core.grid.march import MarchSettings, chebyshev, march, march_rays, tables_of
@@ -102,7 +102,9 @@ def test_depth_of_a_wall():
     values = np.zeros((60, 60, 60, 4), np.uint8)
     values[:, :, 30:, :] = 255
     snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
-    camera = Camera(3, 3, (1e3, 1e3), (1.5, 1.5), np.diag([1.0, -1, -1, 1]) + np.array([[0, 0, 0, 0.3], [0, 0, 0, 0.3], [0, 0, 0, -1], [0] * 4]))
+    camera = Camera(
+        3, 3, (1e3, 1e3), (1.5, 1.5), np.diag([1.0, -1, -1, 1]) + np.array([[0, 0, 0, 0.3], [0, 0, 0, 0.3], [0, 0, 0, -1], [0] * 4])
+    )
     frame = march(snerg, camera)
     assert frame.alpha[1, 1] == pytest.approx(1, abs=1e-4)
     assert frame.depth[1, 1] == pytest.approx(1.3, abs=0.011)
