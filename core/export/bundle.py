@@ -7,6 +7,7 @@ here needs no npm, no network and no server-side code.
 from __future__ import annotations
 
 import base64
+import re
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from ..grid.snerg import Snerg
 from .scene import write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
-SCRIPT_TAG = '<script src="viewer.js" onerror="snergProblem(\'The file viewer.js is missing or did not arrive. Upload the whole folder of the page.\')"></script>'
+SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
 FILES_MARK = "<!-- files -->"
 Progress = Callable[[float, str], None]
 
@@ -98,8 +99,8 @@ def write_single_file(snerg: Snerg, cameras: Sequence[Camera], folder: Path, pag
                 file.write(before)
                 for tag in embedded(data):
                     file.write(tag)
-                # Within a script, "</script" would end it and "<!--" could hide its end; in JavaScript both only occur in strings.
-                file.write(between + "<script>" + script.replace("</script", "<\\/script").replace("<!--", "<\\!--") + "</script>" + after)
+                # In JavaScript "</script" only occurs in strings and comments; here it would end the script.
+                file.write(between + "<script>" + script.replace("</script", "<\\/script") + "</script>" + after)
     except OSError as error:
         raise cannot_write(folder, error) from error
 
@@ -107,7 +108,7 @@ def write_single_file(snerg: Snerg, cameras: Sequence[Camera], folder: Path, pag
 def split_page(page: str) -> tuple[str, str, str]:
     """The page up to where files go, up to the script, and after it."""
     before, between_and_after = page.split(FILES_MARK)
-    between, after = between_and_after.split(SCRIPT_TAG)
+    between, after = SCRIPT_TAG.split(between_and_after)
     return before, between, after
 
 

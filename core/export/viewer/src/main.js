@@ -51,7 +51,7 @@ function makeRenderer() {
   renderer.autoClear = false;
   renderer.debug.onShaderError = (gl, program, vertex, fragment) => {
     const log = gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program) || "it gives no reason";
-    if (!gl.isContextLost()) say(new Problem(`The graphics driver refuses the viewer's shader: ${log.trim().slice(0, 300)}`));
+    if (!gl.isContextLost()) say(new Problem(`The graphics driver refuses the viewer's shader: ${log.replace(/[\s\0]+/g, " ").trim().slice(0, 300)}`));
   };
   return renderer;
 }

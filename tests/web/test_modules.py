@@ -1,0 +1,83 @@
+"""Parts of the viewer that need no browser, run by Node."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+ROOT = Path(__file__).parents[2]
+
+
+def node(script: str) -> Any:
+    """The JSON that a module script in the viewer's folder prints."""
+    result = subprocess.run(
+        ["node", "--input-type=module", "-e", script],
+        cwd=ROOT / "core" / "export" / "viewer" / "src",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return json.loads(result.stdout)
+
+
+def test_png_bytes_arrive_as_they_were_written(tmp_path: Path) -> None:
+    """Every filter, and alpha so low that nothing premultiplied would survive a canvas."""
+    draw = np.random.default_rng(2)
+    for name, pixels in {
+        "noise": draw.integers(0, 256, (37, 29, 4)),
+        "faint": draw.integers(0, 256, (64, 32, 4)) * np.array([1, 1, 1, 0]) + draw.integers(0, 3, (64, 32, 1)) * np.array([0, 0, 0, 1]),
+        "slope": np.add.outer(np.arange(40), np.arange(50))[..., None] * np.array([1, 2, 3, 1]) % 256,
+        "colour": draw.integers(0, 4, (20, 30, 3)) + np.arange(30)[:, None],
+    }.items():
+        Image.fromarray(pixels.astype(np.uint8)).save(tmp_path / f"{name}.png")
+        height, width, channels = pixels.shape
+        shown = node(f"""
+            import {{ readFileSync }} from "node:fs";
+            import {{ decodePng }} from "./png.js";
+            const bytes = new Uint8Array(readFileSync({json.dumps(str(tmp_path / f"{name}.png"))}));
+            console.log(JSON.stringify(Array.from(await decodePng(bytes, "it", {width}, {height}, {channels}))));
+        """)
+        assert (np.array(shown).reshape(pixels.shape) == pixels).all(), name
+
+
+@pytest.mark.hard_case(55)
+def test_layouts_keep_to_the_limit() -> None:
+    cases = [(0, 256, 5), (1, 256, 5), (512, 256, 5), (513, 256, 5), (2560, 256, 5), (1000, 2048, 5), (262144, 2048, 5), (7, 64, 7)]
+    layouts = node(f"""
+        import {{ layoutOf }} from "./atlas.js";
+        console.log(JSON.stringify({json.dumps(cases)}.map((c) => layoutOf(...c))));
+    """)
+    for (cells, limit, most), layout in zip(cases, layouts, strict=True):
+        x, y, z = layout["blocks"]
+        assert max(x, y, z) * 32 <= limit and 1 <= layout["pages"] <= most
+        assert layout["pages"] * layout["each"] >= cells and x * y * z >= layout["each"]
+        assert layout["pages"] * x * y * z <= 1.35 * cells + 8, "little is wasted"
+
+
+@pytest.mark.hard_case(55)
+def test_layouts_that_no_device_holds_are_refused() -> None:
+    message = node("""
+        import { layoutOf } from "./atlas.js";
+        try { layoutOf(2561, 256, 5); } catch (problem) { console.log(JSON.stringify(problem.message)); }
+    """)
+    assert "too large for this device" in message and "2561 blocks" in message
+
+
+def test_distances() -> None:
+    """Chebyshev distances against their definition."""
+    shape = (7, 5, 6)  # x, y, z
+    occupied = np.random.default_rng(0).random(shape[::-1]) < 0.03
+    occupied[2, 1, 3] = True
+    shown = node(f"""
+        import {{ chebyshev }} from "./atlas.js";
+        console.log(JSON.stringify(Array.from(chebyshev({occupied.ravel().astype(int).tolist()}, {list(shape)}))));
+    """)
+    points = np.argwhere(occupied)
+    expected = np.abs(np.argwhere(np.ones_like(occupied))[:, None] - points).max(axis=-1).min(axis=-1)
+    assert (np.array(shown) == expected).all()

@@ -1,0 +1,216 @@
+"""What people do with the page, and what it says when something is wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from scenes import make_cameras, make_snerg
+from snerg.core.errors import SnergError
+from snerg.core.export import bundle
+from snerg.core.export.bundle import write_bundle
+from snerg.core.grid.march import march
+
+from .conftest import opened, picture
+
+Serve = Callable[[Path], str]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("page") / "web"
+    write_bundle(make_snerg(shape=(34, 30, 40)), make_cameras(), folder)
+    return folder
+
+
+@pytest.fixture
+def copied(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "web"))
+
+
+def truth(index: int) -> np.ndarray:
+    return march(make_snerg(shape=(34, 30, 40)), make_cameras()[index]).over()
+
+
+def near(shown: np.ndarray, expected: np.ndarray) -> bool:
+    return bool(np.abs(shown - expected).mean() < 0.5 / 255)
+
+
+def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120&background=grey") is None
+    first = truth(0)
+    snerg, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
+    assert near(picture(page), march(snerg, camera).over((128 / 255,) * 3))
+    page.get_by_role("radio", name="White background").check()
+    assert near(picture(page), first)
+
+    page.get_by_role("combobox", name="Camera").select_option("Parallel")
+    assert near(picture(page), truth(2))
+    assert page.url.endswith("#camera=Parallel")
+    page.get_by_role("button", name="Next camera").click()
+    assert near(picture(page), truth(3))
+    page.locator("#canvas").press("1")
+    assert near(picture(page), first)
+
+    page.mouse.move(80, 60)
+    page.mouse.down()
+    page.mouse.move(110, 70, steps=4)
+    page.mouse.up()
+    turned = picture(page)
+    assert np.abs(turned - first).mean() > 2 / 255
+    page.mouse.wheel(0, -300)
+    assert np.abs(picture(page) - turned).mean() > 1 / 255
+    page.get_by_role("button", name="Reset view").click()
+    assert near(picture(page), first)
+    page.locator("#canvas").press("ArrowLeft")
+    assert np.abs(picture(page) - first).mean() > 1 / 255
+
+
+def test_a_level_camera_stays_where_it_is_when_touched(page: Page, made: Path, serve: Serve) -> None:
+    """The orbit starts at the camera's own view: a hair's turn there and back changes nothing."""
+    address = serve(made)
+    for index in (0, 2, 4):
+        camera = make_cameras()[index]
+        assert opened(page, f"{address}?camera={index}&width={camera.width}&height={camera.height}") is None
+        page.locator("#canvas").press("ArrowLeft")
+        page.locator("#canvas").press("ArrowRight")
+        assert np.abs(picture(page) - truth(index)).mean() < 1 / 255, camera.name
+
+
+def test_nothing_is_drawn_while_nothing_moves(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made)) is None
+    page.evaluate("window.snerg.settled()")
+    before = page.evaluate("window.snerg.frames")
+    page.wait_for_timeout(500)
+    assert page.evaluate("window.snerg.frames") == before > 0
+
+
+def test_the_frame_fits_a_page_of_another_shape(page: Page, made: Path, serve: Serve) -> None:
+    """A page twice as wide shows the camera's frame in its middle."""
+    assert opened(page, serve(made) + "?camera=Front&width=320&height=120") is None
+    page.add_style_tag(content="#frame { display: none !important }")
+    assert near(picture(page)[:, 80:240], truth(0))
+
+
+def test_opens_from_the_disk_with_a_hint(page: Page, made: Path) -> None:
+    problem = opened(page, (made / "index.html").as_uri())
+    assert problem and "python3 -m http.server" in problem and "single file" in problem
+
+
+@pytest.mark.parametrize(
+    "name", ["scene/scene.json", "scene/indirection.png", "scene/rgba_003.png", "scene/feature_001.png", "cameras.json"]
+)
+def test_a_missing_file_is_named(page: Page, copied: Path, serve: Serve, name: str) -> None:
+    (copied / name).unlink()
+    problem = opened(page, serve(copied))
+    assert problem and problem.startswith(f"The file {name} is missing from the server")
+
+
+def test_a_missing_viewer_is_named(page: Page, copied: Path, serve: Serve) -> None:
+    (copied / "viewer.js").unlink()
+    page.goto(serve(copied))
+    assert "viewer.js is missing" in page.get_by_role("alert").inner_text()
+
+
+def damage_scene(key: str, value: object) -> Callable[[bytes], bytes]:
+    return lambda data: json.dumps({**json.loads(data), key: value}).encode()
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "words"),
+    [
+        ("scene/scene.json", lambda data: data[: len(data) // 2], "it is not JSON"),
+        ("scene/scene.json", lambda data: b"\xff\xfe", "it is not JSON"),
+        ("scene/scene.json", lambda data: b"null", "does not describe a SNeRG scene"),
+        ("scene/scene.json", damage_scene("version", 9), "has version 9"),
+        ("scene/scene.json", damage_scene("voxel_size", 0), '"voxel_size"'),
+        ("scene/scene.json", damage_scene("shape", [34, 30]), '"shape"'),
+        ("scene/scene.json", damage_scene("network", {"weights_0": [[1]]}), '"network"'),
+        ("scene/scene.json", damage_scene("cells", 10**9), '"cells"'),
+        ("scene/rgba_002.png", lambda data: data[: len(data) // 2], "cut short"),
+        ("scene/rgba_002.png", lambda data: data[:60] + bytes(20) + data[80:], "cannot be read"),
+        ("scene/feature_002.png", lambda data: b"<!doctype html>", "it is not a PNG"),
+        ("scene/indirection.png", lambda data: data[:16] + b"\0\0\0\x09" + data[20:], "that belongs here"),
+        ("cameras.json", lambda data: b'{"cameras": [{"name": "A"}]}', "not a list of cameras"),
+    ],
+)
+def test_a_damaged_file_is_named(page: Page, copied: Path, serve: Serve, name: str, damage: Callable[[bytes], bytes], words: str) -> None:
+    data = (copied / name).read_bytes()
+    (copied / name).write_bytes(damage(data))
+    problem = opened(page, serve(copied))
+    assert problem and problem.startswith(f"The file {name} ") and words in problem
+
+
+def test_no_webgl(launch: Callable[..., Browser], made: Path, serve: Serve) -> None:
+    browser = launch("--disable-3d-apis")
+    problem = opened(browser.new_page(), serve(made))
+    browser.close()
+    assert problem and "no WebGL 2" in problem
+
+
+def test_a_lost_context(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made)) is None
+    page.evaluate("document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()")
+    page.get_by_role("alert").wait_for()
+    assert "graphics driver was reset" in page.get_by_role("alert").inner_text()
+
+
+def test_a_refused_shader(page: Page, made: Path, serve: Serve) -> None:
+    page.add_init_script("""
+        const source = WebGL2RenderingContext.prototype.shaderSource;
+        WebGL2RenderingContext.prototype.shaderSource = function (shader, text) {
+          return source.call(this, shader, text.replace("void main() {", "void main() { nonsense;"));
+        };
+    """)
+    problem = opened(page, serve(made))
+    assert problem and problem.startswith("The graphics driver refuses the viewer's shader") and "nonsense" in problem
+
+
+def test_a_texture_that_memory_does_not_hold(page: Page, made: Path, serve: Serve) -> None:
+    page.add_init_script("""
+        let refused = false;
+        const storage = WebGL2RenderingContext.prototype.texStorage3D;
+        WebGL2RenderingContext.prototype.texStorage3D = function () { refused = true; };
+        const error = WebGL2RenderingContext.prototype.getError;
+        WebGL2RenderingContext.prototype.getError = function () {
+          const result = refused ? WebGL2RenderingContext.OUT_OF_MEMORY : error.call(this);
+          refused = false;
+          return result;
+        };
+    """)
+    problem = opened(page, serve(made))
+    assert problem and "graphics memory does not hold its" in problem
+
+
+def test_without_a_built_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bundle, "VIEWER", tmp_path / "nowhere")
+    with pytest.raises(SnergError, match="make setup"):
+        write_bundle(make_snerg(shape=(8, 8, 8)), (), tmp_path / "web")
+    assert not (tmp_path / "web").exists()
+
+
+@pytest.mark.parametrize("single_file", [False, True])
+def test_cancelled_or_refused_leaves_nothing(tmp_path: Path, single_file: bool) -> None:
+    def stop(fraction: float, what: str) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_bundle(make_snerg(shape=(8, 8, 8)), (), tmp_path / "web", single_file, stop)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "web").mkdir()
+    (tmp_path / "web" / "thesis.txt").write_text("mine")
+    with pytest.raises(SnergError, match="holds other files"):
+        write_bundle(make_snerg(shape=(8, 8, 8)), (), tmp_path / "web", single_file)
+
+
+def test_the_licence_of_three_stays_with_it(made: Path, tmp_path: Path) -> None:
+    write_bundle(make_snerg(shape=(8, 8, 8)), (), tmp_path / "one", single_file=True)
+    for script in (made / "viewer.js", tmp_path / "one" / "index.html"):
+        text = script.read_text(encoding="utf-8")
+        assert "three.js authors" in text and "WITHOUT WARRANTY OF ANY KIND" in text

@@ -1,0 +1,147 @@
+"""The page's picture against the float64 march of the same camera: equal but for 8 bits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from oracle import dense_march
+from scenes import empty_snerg, make_cameras, make_snerg, random_network, snerg_from_volume
+from snerg.core.capture.camera import Camera
+from snerg.core.export.bundle import write_bundle
+from snerg.core.grid.march import march
+from snerg.core.grid.snerg import Snerg
+
+from .conftest import opened, picture
+
+Serve = Callable[[Path], str]
+TURNED = (0.2, 0.3, 0.5)
+FAR = (1e6, -2e6, 5e5)
+NAMES = [camera.name for camera in make_cameras()]
+
+
+def compare(page: Page, address: str, snerg: Snerg, camera: Camera, name: str | int) -> None:
+    """The mean difference stays under half a level; nothing but pixels on the network's threshold differs visibly."""
+    assert opened(page, f"{address}?camera={name}&width={camera.width}&height={camera.height}") is None
+    shown = picture(page)
+    for truth in (dense_march(snerg, camera).over(), march(snerg, camera).over()):
+        difference = np.abs(shown - truth)
+        assert difference.mean() < 0.5 / 255
+        assert np.mean(difference.max(axis=-1) < 2 / 255) > 0.999
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Snerg, str, Path]:
+    snerg = make_snerg(angles=TURNED)
+    folder = tmp_path_factory.mktemp("turned") / "web"
+    write_bundle(snerg, make_cameras(), folder)
+    return snerg, serve(folder), folder
+
+
+@pytest.mark.hard_case(10, 33, 34, 36, 37, 41, 42, 43)
+@pytest.mark.parametrize("index", range(len(NAMES)), ids=NAMES)
+def test_turned_box(page: Page, turned: tuple[Snerg, str, Path], index: int) -> None:
+    snerg, address, _ = turned
+    compare(page, address, snerg, make_cameras()[index], index)
+
+
+@pytest.mark.parametrize(
+    ("centre", "size"), [(FAR, 2.0), ((3.0, 1.0, -2.0), 1e-3), ((0.0, 0.0, 0.0), 5e3)], ids=["far from the origin", "tiny", "huge"]
+)
+@pytest.mark.hard_case(6)
+def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tuple[float, float, float], size: float) -> None:
+    snerg = make_snerg(angles=TURNED, centre=centre, size=size)
+    cameras = make_cameras(centre, size)
+    write_bundle(snerg, cameras, tmp_path / "web")
+    address = serve(tmp_path / "web")
+    for index in (0, 2):
+        compare(page, address, snerg, cameras[index], index)
+    page.mouse.move(60, 60)
+    page.mouse.down()
+    page.mouse.move(90, 60, steps=3)
+    page.mouse.up()
+    moved = picture(page)
+    assert np.abs(moved - march(snerg, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
+
+
+def test_diffuse_scene_fetches_no_features(page: Page, tmp_path: Path, serve: Serve) -> None:
+    snerg = make_snerg(diffuse=True)
+    write_bundle(snerg, make_cameras(), tmp_path / "web")
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    address = serve(tmp_path / "web")
+    compare(page, address, snerg, make_cameras()[0], "Front")
+    assert requests and all(url.startswith((address, "data:")) for url in requests), "nothing comes from elsewhere"
+    assert not any("feature" in url for url in requests)
+
+
+@pytest.mark.hard_case(51)
+@pytest.mark.parametrize("diffuse", [False, True], ids=["view-dependent", "diffuse"])
+def test_thin_fog_arrives_exactly(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
+    draw = np.random.default_rng(5)
+    shape = (60, 40, 50)
+    alpha = draw.integers(0, 4, (*shape, 1))
+    values = np.concatenate([draw.integers(0, 256, (*shape, 3 if diffuse else 7)) % (alpha + 1), alpha], axis=-1).astype(np.uint8)
+    snerg = snerg_from_volume(values, None if diffuse else random_network(3), grid_to_world=np.eye(4), voxel_size=0.05)
+    cameras = make_cameras((1.5, 1.0, 1.25), 2.0)
+    write_bundle(snerg, cameras, tmp_path / "web")
+    compare(page, serve(tmp_path / "web"), snerg, cameras[0], 0)
+
+
+@pytest.mark.hard_case(57)
+def test_empty_and_opaque_scenes_open(page: Page, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(empty_snerg(), (), tmp_path / "empty")
+    assert opened(page, serve(tmp_path / "empty") + "?width=80&height=60") is None
+    assert (picture(page) == 1).all()
+    opaque = snerg_from_volume(np.full((31, 31, 31, 4), 255, np.uint8), None, grid_to_world=np.eye(4), voxel_size=1 / 31)
+    opaque = replace(opaque, cells=opaque.cells // np.array([1, 2, 1, 1], np.uint8))
+    camera = make_cameras((0.5, 0.5, 0.5), 1.0)[0]
+    write_bundle(opaque, [camera], tmp_path / "opaque")
+    compare(page, serve(tmp_path / "opaque"), opaque, camera, 0)
+
+
+def test_single_file_from_the_disk(page: Page, tmp_path: Path) -> None:
+    snerg = make_snerg(angles=TURNED, shape=(40, 45, 50))
+    result = write_bundle(snerg, make_cameras(), tmp_path / "web", single_file=True)
+    files = [path.name for path in (tmp_path / "web").iterdir() if not path.name.startswith(".")]
+    assert files == ["index.html"]
+    assert result == {"files": 1, "bytes": (tmp_path / "web" / "index.html").stat().st_size}
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url))
+    compare(page, (tmp_path / "web" / "index.html").as_uri(), snerg, make_cameras()[1], "Shifted, rolled")
+    assert len([url for url in requests if not url.startswith("data:")]) == 1
+
+
+@pytest.mark.hard_case(55)
+@pytest.mark.parametrize("limit", [64, 256, 2048])
+def test_texture_limits(page: Page, turned: tuple[Snerg, str, Path], limit: int) -> None:
+    """30 cells: one texture holds them at 256; at 64 they need four."""
+    page.add_init_script(mocked_limit(limit))
+    snerg, address, _ = turned
+    compare(page, address, snerg, make_cameras()[0], 0)
+
+
+def mocked_limit(limit: int) -> str:
+    return f"""
+        const ask = WebGL2RenderingContext.prototype.getParameter;
+        WebGL2RenderingContext.prototype.getParameter = function (name) {{
+          return name === WebGL2RenderingContext.MAX_3D_TEXTURE_SIZE ? {limit} : ask.call(this, name);
+        }};
+        const allocate = WebGL2RenderingContext.prototype.texStorage3D;
+        WebGL2RenderingContext.prototype.texStorage3D = function (target, levels, format, ...size) {{
+          if (Math.max(...size) > {limit}) throw new Error("over the limit");
+          return allocate.call(this, target, levels, format, ...size);
+        }};
+    """
+
+
+def test_a_device_too_small_says_so(page: Page, turned: tuple[Snerg, str, Path]) -> None:
+    page.add_init_script(mocked_limit(32))
+    problem = opened(page, turned[1])
+    assert problem and problem.startswith("The scene's texture is too large for this device: it has 30 blocks")
