@@ -46,6 +46,10 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
         return start_verb(arguments if settings.refine else [*arguments, "--no-refine"])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
-        remember(project, "scene", project.scene, result)
-        return f"Baked the scene into {project.scene}"
+        """Note what it came to, and warn of a box that turned out to hold nothing."""
+        about = result.get("about", {})
+        quality = about.get("refine", {}).get("psnr_after")
+        remember(project, "scene", project.scene, {**result, "psnr": quality})
+        if warning := about.get("bake", {}).get("warning"):
+            self.report({"WARNING"}, warning)
+        return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {project.scene}"

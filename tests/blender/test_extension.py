@@ -51,7 +51,7 @@ import build_scene
 scene = build_scene.build(size=48, samples=1, cameras=10)
 scene.cycles.use_denoising = False
 settings = scene.snerg
-settings.folder, settings.test_every, settings.steps, settings.resolution, settings.samples = sys.argv[2], 5, 12, 40, 1
+settings.folder, settings.test_every, settings.steps, settings.resolution, settings.samples = sys.argv[2], 5, 60, 40, 1
 settings.web_cameras, settings.box = "ALL", None
 verbs, done, files = bpy.ops.snerg, {}, {}
 def run(verb, **keywords):
@@ -59,6 +59,7 @@ def run(verb, **keywords):
     files[verb] = sorted(path.name for path in Path(settings.folder).iterdir() if not path.name.startswith("."))
 run("render_dataset")
 run("train")
+bpy.ops.object.select_all(action="DESELECT")
 run("add_box")
 run("bake")
 run("preview")
@@ -66,12 +67,13 @@ run("export_scene")
 run("export_web")
 image = bpy.data.images["SNeRG Preview"]
 size, alpha = list(image.size), image.pixels[3]
-baked = (Path(settings.folder) / "scene" / "scene.json").read_bytes()
-run("import_scene", filepath=str(Path(settings.folder) / "reference"))
 from importlib import import_module
 project = import_module(NAME + ".snerg_addon.project").project_of(scene)
+quality = project.notes()["scene"]["psnr"]
+run("import_scene", filepath=str(project.reference))
 print("RESULT", json.dumps({
-    "done": done, "files": files["export_web"], "size": size, "alpha": alpha, "notes": project.notes(), "box": settings.box.name,
+    "done": done, "files": files["export_web"], "size": size, "alpha": alpha, "notes": project.notes(),
+    "box": settings.box.name, "scene_psnr": quality,
     "has": [step for step in ("dataset", "field", "scene", "reference", "web") if project.has(step)],
     "rest": sorted(path.name for path in Path(settings.folder).iterdir()),
 }))
@@ -137,6 +139,6 @@ def test_every_operator_in_order(light_zip, tmp_path):
     assert result["has"] == ["dataset", "field", "scene", "reference", "web"]
     assert result["size"] == [48, 48] and result["alpha"] == 1.0 and result["box"].startswith("SNeRG Box")
     assert result["notes"]["dataset"]["train"] == 8 and result["notes"]["dataset"]["test"] == 2
-    assert result["notes"]["field"]["steps"] == 12 and result["notes"]["scene"]["blocks"] > 0
+    assert result["notes"]["field"]["steps"] == 60 and result["notes"]["scene"]["blocks"] > 0 and result["scene_psnr"] > 5
     assert not [name for name in result["rest"] if name.endswith((".part", ".old"))]
     assert len(json.loads((tmp_path / "project" / "cameras.json").read_text())["frames"]) == 10
