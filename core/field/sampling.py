@@ -160,12 +160,16 @@ class Occupancy:
         cell the lower one is near 0, so only what is solid ends a ray.
         """
         cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
-        index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
-        x = (index + rng.random(index.shape)) * (2 / CELLS) - 1
-        found = query(x.astype(np.float32))
+        found = query(self.points_in(cells, rng))
         most, least = self.most[cells], self.least[cells]
         self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.85 * most + 0.15 * found))
         self.least[cells] = np.minimum(found, 0.85 * least + 0.15 * found)
+
+    @staticmethod
+    def points_in(cells: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """A random point [N, 3] float32 in each of the cells [N]."""
+        index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
+        return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
     def optical(self, threshold: float) -> np.ndarray:
         """float32 [CELLS^3]: the lower estimate of density, at least 1e-6, where a cell is occupied; else 0."""

@@ -30,6 +30,7 @@ from .volume import composite, optical_depth
 
 Progress = Callable[[float, str], None]
 MOST_RAYS = 8192  # in a step
+EMPTY_SHARE = 16  # one sample in so many is spent where nothing should be
 UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
 WARM_UP = 192  # steps before an occupancy cell may be called empty
@@ -255,9 +256,12 @@ class Trainer:
 
     def batch(self) -> tuple[dict[str, Any], int, int]:
         """A step's rays and packed samples, always of the same shapes; and how many of each are real."""
-        size, length = self.settings.samples, self.spacing()
-        points = np.zeros((size, 3), np.float32)
-        ray = np.full(size, MOST_RAYS - 1, np.int32)
+        length = self.spacing()
+        empty = self.empty_points(self.settings.samples // EMPTY_SHARE)
+        size = self.settings.samples - len(empty)
+        points = np.zeros((self.settings.samples, 3), np.float32)
+        points[size:] = empty
+        ray = np.full(self.settings.samples, MOST_RAYS - 1, np.int32)
         directions = np.zeros((MOST_RAYS, 3), np.float32)
         directions[:, 2] = 1
         target = np.zeros((MOST_RAYS, 4), np.uint8)
@@ -288,13 +292,24 @@ class Trainer:
         inputs = {
             "inputs": self._inputs(points),
             "ray": ray,
-            "valid": np.arange(size) < count,
+            "valid": (slots := np.arange(self.settings.samples)) < count,
+            "real": (slots < count) | (slots >= size),
             "directions": directions,
             "target": target,
             "used": used,
             "length": np.float32(length),
         }
         return inputs, count, rays
+
+    def empty_points(self, count: int) -> np.ndarray:
+        """Up to `count` random points of the hull that the occupancy grid calls empty, so that the sparsity loss keeps them so.
+
+        No ray samples there, and what learns elsewhere shares the network with them: left alone they drift until
+        they are fog in front of everything.
+        """
+        cells = self.occupancy.cells[self.rng.integers(0, len(self.occupancy.cells), count)]
+        cells = cells[self.optical[cells] == 0]
+        return self.occupancy.points_in(cells, self.rng)
 
     def field(self) -> Field:
         """The field as trained so far."""
@@ -372,8 +387,7 @@ def train_step(
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
     """Squared error over white (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
     density, values = field_outputs(jnp, settings.family, params["field"], batch["inputs"])
-    density = jnp.where(batch["valid"], density, 0)
-    depth = optical_depth(jnp, density, batch["length"])
+    depth = optical_depth(jnp, jnp.where(batch["valid"], density, 0), batch["length"])
     gathered, through, _ = composite(jnp, depth, values, batch["ray"], MOST_RAYS)
     colour = gathered[:, :3] + through[:, None]
     if settings.view_dependence:
@@ -385,7 +399,8 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
     used = batch["used"].astype(jnp.float32)
     rays = jnp.maximum(used.sum(), 1)
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / rays
-    loss = error + settings.sparsity * cauchy(jnp, density).sum() / jnp.maximum(batch["valid"].sum(), 1)
+    sparsity = (cauchy(jnp, density) * batch["real"]).sum() / jnp.maximum(batch["real"].sum(), 1)
+    loss = error + settings.sparsity * sparsity
     if has_alpha:
         loss = loss + settings.alpha * ((1 - through - alpha[:, 0]) ** 2 * used).sum() / rays
     return loss, error

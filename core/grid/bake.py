@@ -14,6 +14,7 @@ from ..field.field import Field
 from ..field.volume import opacity, optical_depth
 from .blocks import cells_of, dilate, number, with_apron
 from .box import DATA_VOXELS, Box
+from .jitter import voxel_normal, voxel_uniform
 from .quantize import quantize
 from .snerg import Snerg, blocks_of
 from .visibility import visible_voxels
@@ -173,35 +174,31 @@ def prefilter(
     Opacity is averaged and colour premultiplied by it, as the reference does where the paper says density: half
     a voxel of solid matter then stops half the light, where the mean density would stop all of it (hard case 49).
     """
-    rng = np.random.default_rng(settings.seed)
     channels = 4 if field.network is None else 8
     values = np.zeros((len(keep), *OWN, channels), np.uint8)
     places = np.argwhere(indirection >= 0)
     for start in range(0, len(places), BATCH):
         part = keep[start : start + BATCH].reshape(len(places[start : start + BATCH]), -1)
         voxels = lattice.of_blocks(places[start : start + BATCH])[part]
-        colour, alpha = average(field, lattice, voxels, settings.samples, rng)
+        colour, alpha = average(field, lattice, voxels, settings.samples, settings.seed)
         flat = np.zeros((part.size, channels), np.uint8)
-        flat[part.reshape(-1)] = quantize(colour[:, : channels - 1], alpha, rng)
+        flat[part.reshape(-1)] = quantize(colour[:, : channels - 1], alpha, voxel_uniform(voxels, channels, settings.seed + 1))
         values[start : start + BATCH] = flat.reshape(-1, *OWN, channels)
         progress(min(start + BATCH, len(places)) / len(places), "Baking colour and opacity")
     return values
 
 
-def average(field: Field, lattice: Lattice, voxels: np.ndarray, samples: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def average(field: Field, lattice: Lattice, voxels: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied RGB and features [N, 7], and opacity [N], averaged over each voxel's own jitter.
 
     Offsets come in pairs of opposite signs, so that no voxel's content moves (hard case 48); an odd one is the centre.
     """
     colour, total = np.zeros((len(voxels), 7), np.float32), np.zeros(len(voxels), np.float32)
-    offset = np.zeros(voxels.shape)
-    for i in range(samples):
-        if i == samples - 1 and samples % 2:
-            offset = np.zeros(voxels.shape)
-        elif i % 2 == 0:
-            offset = rng.normal(0, 1 / np.sqrt(12), voxels.shape)
-        else:
-            offset = -offset
+    offsets = voxel_normal(voxels, samples // 2, seed) / np.sqrt(12)
+    signed = [sign * offsets[:, pair] for pair in range(samples // 2) for sign in (1, -1)]
+    if samples % 2:
+        signed.append(np.zeros(voxels.shape))
+    for offset in signed:
         alpha, values = field_alpha(field, lattice, voxels + offset)
         colour += values * alpha[:, None]
         total += alpha

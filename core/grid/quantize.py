@@ -7,8 +7,8 @@ import numpy as np
 THIN = 12  # levels of alpha below which rounding is dithered
 
 
-def quantize(colour: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Premultiplied values [N, C - 1] and alpha [N], all in [0, 1], to uint8 [N, C], alpha last.
+def quantize(colour: np.ndarray, alpha: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Premultiplied values [N, C - 1] and alpha [N], all in [0, 1], to uint8 [N, C], alpha last; noise: [N, C] in [0, 1).
 
     Rounded to nearest, except thin fog: there a level is a large step and rounding would turn a fog of 0.7 into
     black or white, so it is dithered, alpha first and the rest at the colour that it then needs (hard case 51). No
@@ -16,8 +16,7 @@ def quantize(colour: np.ndarray, alpha: np.ndarray, rng: np.random.Generator) ->
     """
     level = alpha * np.float32(255)
     thin = level < THIN
-    noise = np.full((len(alpha), colour.shape[-1] + 1), 0.5, np.float32)
-    noise[thin] = rng.random((int(thin.sum()), noise.shape[-1]), np.float32)
+    noise = np.where(thin[:, None], noise, np.float32(0.5))
     stored = np.minimum(np.floor(level + noise[:, -1]), 255)
     straight = colour / np.maximum(alpha, 1e-12)[:, None]
     wanted = np.where(thin[:, None], straight * stored[:, None], colour * np.float32(255))
