@@ -72,6 +72,7 @@ async function load(renderer) {
 
 function readout({ width, height, milliseconds }) {
   hook.frames++;
+  find("loading").hidden = true; // a coarse picture is better than a bar
   find("readout").textContent = `${width} × ${height} · ${milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds)} ms`;
 }
 
@@ -138,7 +139,7 @@ function bar(view, painter, cameras, jump) {
   });
 }
 
-/** Fill a background by name or the swatches' default. */
+/** One of the swatches by its name; white for any other. */
 function setBackground(view, name) {
   const key = name in BACKGROUNDS ? name : "white";
   view.background = Array(3).fill(BACKGROUNDS[key]);
@@ -174,9 +175,7 @@ async function start() {
   painter.paint((width, height) => view.uniforms(width, height));
   hook.settled = () => painter.settled();
   await painter.settled();
-  if (hook.problem) return false;
-  find("loading").hidden = true;
-  return true;
+  return hook.problem === null;
 }
 
 hook.ready = Promise.race([start(), failed]).catch((problem) => {
