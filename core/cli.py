@@ -9,10 +9,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 from . import verbs
@@ -35,10 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run_job(lambda progress: plain(work(options, progress)))
     progress = Terminal(sys.stderr)
     try:
-        result = plain(work(options, progress))
+        with keyboard(progress) as watched:
+            result = plain(work(options, watched))
     except KeyboardInterrupt:
         progress.end()
-        print("snerg: Stopped; what was finished before is kept.", file=sys.stderr)
+        print("snerg: Stopped.", file=sys.stderr)
         return EXIT_STOPPED
     except SnergError as error:
         progress.end()
@@ -119,6 +124,34 @@ def parser() -> argparse.ArgumentParser:
     about = verb("info", "say what a dataset, field, checkpoint or scene is", lambda o, p: verbs.info(o.path, p))
     about.add_argument("path", type=Path, metavar="PATH")
     return top
+
+
+@contextmanager
+def keyboard(progress: verbs.Progress) -> Iterator[verbs.Progress]:
+    """Progress that raises Cancelled after Ctrl-C, so that work stops between two steps and not in the middle of one.
+
+    A second Ctrl-C stops at once. Elsewhere than in the main thread the keyboard is not ours to listen to.
+    """
+    asked = threading.Event()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+
+    def watched(fraction: float, message: str, /) -> None:
+        if asked.is_set():
+            raise Cancelled("Stopped as you asked; what was finished before is kept.")
+        progress(fraction, message)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield progress
+        return
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield watched
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -167,6 +167,19 @@ def test_the_keyboard_stops_a_training_and_keeps_it(dataset, tmp_path):
     assert read_field(out).about["steps"] > 0
 
 
+def test_the_keyboard_is_heard_between_steps_and_at_once_when_asked_twice():
+    before = signal.getsignal(signal.SIGINT)
+    said = []
+    with cli.keyboard(lambda fraction, message: said.append(message)) as progress:
+        progress(0.1, "one")
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(cli.Cancelled):
+            progress(0.2, "two")
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert said == ["one"] and signal.getsignal(signal.SIGINT) is before
+
+
 class Screen(io.StringIO):
     def __init__(self, tty: bool) -> None:
         super().__init__()
