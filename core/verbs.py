@@ -148,7 +148,9 @@ def bake_scene(
     dataset = _images_to_refine_on(source) if refine else None
     snerg, seconds = bake_field(source, volume, resolution, samples, dataset, progress)
     write_scene(snerg, out, within(progress, 0.97, 1.0))
-    return {"seconds": seconds, "refined": dataset is not None, **info(out)}
+    about = snerg.about
+    result = {"seconds": seconds, "refined": "psnr_after" in about.get("refine", {}), **info(out)}
+    return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
 
 
 def bake_field(

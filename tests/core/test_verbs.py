@@ -262,3 +262,9 @@ def test_paths_that_are_nothing(tmp_path):
         verbs.info(tmp_path / "nothing")
     with pytest.raises(SnergError, match="no dataset"):
         verbs.info(tmp_path)
+
+
+def test_a_box_that_holds_nothing_bakes_to_an_empty_scene_and_says_so(tmp_path, field):
+    (tmp_path / "box.json").write_text(json.dumps({"min": [50, 50, 50], "max": [51, 51, 51]}))
+    result = verbs.bake_scene(field, tmp_path / "scene", resolution=32, box=tmp_path / "box.json", samples=1)
+    assert result["blocks"] == 0 and not result["refined"] and "box" in result["warning"]
