@@ -117,9 +117,7 @@ def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]
     return tight, alive if alive.any() else np.ones(CELLS**3, bool)
 
 
-def cells_alive(
-    domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]
-) -> np.ndarray:
+def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray:
     """bool [cells^3]: cells of [-1, 1]^3 inside the box and the hull."""
     x = cell_centres(cells)
     margin = 1.0 / cells
@@ -143,15 +141,15 @@ def cell_centres(cells: int) -> np.ndarray:
 class Occupancy:
     """Which cells hold something, as far as the field has learned.
 
-    alive: bool [CELLS^3], what the hull allows. most, least: float32 [CELLS^3], running upper and lower estimates
-    of the density in a cell; a cell that nobody has looked at yet counts as full (most infinite) but stops no ray.
+    alive: bool [CELLS^3], what the hull allows; cells: those not given up. most, least: float32 [CELLS^3], running upper
+    and lower estimates of the density in a cell; a cell that nobody has looked at yet counts as full (most infinite) but stops no ray.
     """
 
     def __init__(self, alive: np.ndarray, most: np.ndarray | None = None, least: np.ndarray | None = None) -> None:
         self.alive = alive
         self.most = np.where(alive, np.float32(np.inf), np.float32(0)) if most is None else most
         self.least = np.zeros(len(alive), np.float32) if least is None else least
-        self.cells = np.flatnonzero(alive)
+        self.cells = np.flatnonzero(self.most > 0)
 
     def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
         """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N].
@@ -165,15 +163,24 @@ class Occupancy:
         self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.85 * most + 0.15 * found))
         self.least[cells] = np.minimum(found, 0.85 * least + 0.15 * found)
 
+    def prune(self, threshold: float) -> None:
+        """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
+        whatever the field comes to hold there would be garbage."""
+        self.cells = self.cells[self.most[self.cells] > threshold]
+        kept = np.zeros_like(self.alive)
+        kept[self.cells] = True
+        self.most[~kept] = 0
+        self.least[~kept] = 0
+
     @staticmethod
     def points_in(cells: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """A random point [N, 3] float32 in each of the cells [N]."""
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
-    def optical(self, threshold: float) -> np.ndarray:
-        """float32 [CELLS^3]: the lower estimate of density, at least 1e-6, where a cell is occupied; else 0."""
-        return np.where(self.most > threshold, np.maximum(self.least, np.float32(1e-6)), 0).astype(np.float32)
+    def optical(self) -> np.ndarray:
+        """float32 [CELLS^3]: the lower estimate of density, at least 1e-6, in cells that are left; else 0."""
+        return np.where(self.most > 0, np.maximum(self.least, np.float32(1e-6)), 0).astype(np.float32)
 
 
 def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..capture.camera import Camera
 from ..capture.dataset import Dataset
 from ..errors import Cancelled, SnergError
 from .checkpoint import read_field_and_state, write_field
-from .encoding import hash_lookup
 from .field import Field
 from .losses import cauchy
 from .networks import Family, HashFamily, MlpFamily, ViewNetwork, field_inputs, field_outputs, init_field, view_residual
-from .sampling import Domain, Occupancy, dilated, hull, pack_samples
+from .pixels import PixelPool
+from .sampling import Occupancy, hull, pack_samples
 from .volume import composite, optical_depth
 
 Progress = Callable[[float, str], None]
 MOST_RAYS = 8192  # in a step
-EMPTY_SHARE = 16  # one sample in so many is spent where nothing should be
 UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
-WARM_UP = 192  # steps before an occupancy cell may be called empty
+WARM_UP = 256  # steps before an occupancy cell may be given up
 SPACINGS = ((0.1, 8), (0.25, 4), (0.55, 2), (2.0, 1))  # (until this fraction, times the final spacing)
+NOTHING = 1e-9  # a gradient this small is none; those that teach are 1e-7 and more
 NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
 
 
@@ -66,7 +65,7 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         if not (0 < self.final_rate <= self.rate and math.isfinite(self.rate)):
-            raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, the last not above the first.")
+            raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, and it must not rise.")
         if self.steps is not None and self.steps < 1:
             raise SnergError(f"Training for {self.steps} steps is no training; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and self.seconds > 0):
@@ -93,55 +92,6 @@ class TrainProgress:
     samples: int
 
 
-class PixelPool:
-    """All pixels of a dataset and the rays through them, in the field's coordinates."""
-
-    def __init__(self, images: list[np.ndarray], cameras: tuple[Camera, ...], domain: Domain) -> None:
-        self.alpha = all(i.shape[-1] == 4 for i in images)
-        self.pixels = np.concatenate([_with_alpha(i).reshape(-1, 4) for i in images])
-        self.widths = np.array([c.width for c in cameras])
-        ends = np.cumsum([c.width * c.height for c in cameras])
-        self.starts, self.ends = ends - ends[0] if len(ends) == 1 else np.concatenate([[0], ends[:-1]]), ends
-        self.focal = np.array([c.focal for c in cameras])
-        self.centre = np.array([c.centre for c in cameras])
-        self.pose = np.stack([c.camera_to_world for c in cameras])
-        self.parallel = np.array([c.projection == "orthographic" for c in cameras])
-        self.near = np.array([c.near for c in cameras]) * domain.scale
-        self.domain = domain
-        self.useful = self._useful(images) if self.alpha else None
-
-    def _useful(self, images: list[np.ndarray]) -> np.ndarray:
-        """Pixels on or near something, int64: the others' rays miss the hull and teach nothing."""
-        masks = [dilated(i[..., 3] > 0, max(i.shape[:2]) // 40 + 2).reshape(-1) for i in images]
-        found = np.flatnonzero(np.concatenate(masks))
-        return found if len(found) else np.arange(len(self.pixels))
-
-    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """[count] pixel numbers."""
-        if self.useful is not None:
-            return self.useful[rng.integers(0, len(self.useful), count)]
-        return rng.integers(0, len(self.pixels), count)
-
-    def rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Origins, unit directions [N, 3] and near [N], field coordinates, of pixels by number (as Camera.rays)."""
-        view = np.searchsorted(self.ends, index, side="right")
-        row, column = np.divmod(index - self.starts[view], self.widths[view])
-        x = (column + 0.5 - self.centre[view, 0]) / self.focal[view, 0]
-        y = -(row + 0.5 - self.centre[view, 1]) / self.focal[view, 1]
-        pose = self.pose[view]
-        across = pose[:, :3, 0] * x[:, None] + pose[:, :3, 1] * y[:, None]
-        back = pose[:, :3, 2]
-        parallel = self.parallel[view, None]
-        directions = np.where(parallel, -back, across - back)
-        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        origins = np.where(parallel, pose[:, :3, 3] + across, pose[:, :3, 3])
-        return (origins - self.domain.centre) * self.domain.scale, directions, self.near[view]
-
-
-def _with_alpha(image: np.ndarray) -> np.ndarray:
-    return image if image.shape[-1] == 4 else np.concatenate([image, np.full_like(image[..., :1], 255)], axis=-1)
-
-
 class Trainer:
     """A field on its way: parameters, optimiser, occupancy, random state."""
 
@@ -162,7 +112,7 @@ class Trainer:
         self.moments = jax.tree.map(jnp.zeros_like, self.params), jax.tree.map(jnp.zeros_like, self.params)
         self.step = 0
         self.elapsed = 0.0
-        self.optical = self.occupancy.optical(0.0)
+        self.optical = self.occupancy.optical()
         self.samples_per_ray = 32.0
         self.history: list[dict[str, float]] = []
         self.loss = self.error = 0.0
@@ -234,14 +184,12 @@ class Trainer:
         fraction = self.fraction()
         return self.settings.spacing * next(factor for until, factor in SPACINGS if fraction < until)
 
-    def threshold(self) -> float:
-        """Density above which an occupancy cell is kept: alpha of 0.01 over one final interval."""
-        return 0.0 if self.step < WARM_UP else 0.01 / self.settings.spacing
-
     def update_occupancy(self) -> None:
-        """Ask the field where something is."""
+        """Ask the field where something is, and give up cells with an opacity under 0.004 over one final interval."""
         self.occupancy.update(self.density, UPDATE_CELLS, self.rng)
-        self.optical = self.occupancy.optical(self.threshold())
+        if self.step >= WARM_UP:
+            self.occupancy.prune(0.004 / self.settings.spacing)
+        self.optical = self.occupancy.optical()
 
     def density(self, x: np.ndarray) -> np.ndarray:
         """Density [N] at field coordinates [N, 3], in chunks of one shape."""
@@ -257,11 +205,9 @@ class Trainer:
     def batch(self) -> tuple[dict[str, Any], int, int]:
         """A step's rays and packed samples, always of the same shapes; and how many of each are real."""
         length = self.spacing()
-        empty = self.empty_points(self.settings.samples // EMPTY_SHARE)
-        size = self.settings.samples - len(empty)
-        points = np.zeros((self.settings.samples, 3), np.float32)
-        points[size:] = empty
-        ray = np.full(self.settings.samples, MOST_RAYS - 1, np.int32)
+        size = self.settings.samples
+        points = np.zeros((size, 3), np.float32)
+        ray = np.full(size, MOST_RAYS - 1, np.int32)
         directions = np.zeros((MOST_RAYS, 3), np.float32)
         directions[:, 2] = 1
         target = np.zeros((MOST_RAYS, 4), np.uint8)
@@ -292,24 +238,13 @@ class Trainer:
         inputs = {
             "inputs": self._inputs(points),
             "ray": ray,
-            "valid": (slots := np.arange(self.settings.samples)) < count,
-            "real": (slots < count) | (slots >= size),
+            "valid": np.arange(size) < count,
             "directions": directions,
             "target": target,
             "used": used,
             "length": np.float32(length),
         }
         return inputs, count, rays
-
-    def empty_points(self, count: int) -> np.ndarray:
-        """Up to `count` random points of the hull that the occupancy grid calls empty, so that the sparsity loss keeps them so.
-
-        No ray samples there, and what learns elsewhere shares the network with them: left alone they drift until
-        they are fog in front of everything.
-        """
-        cells = self.occupancy.cells[self.rng.integers(0, len(self.occupancy.cells), count)]
-        cells = cells[self.optical[cells] == 0]
-        return self.occupancy.points_in(cells, self.rng)
 
     def field(self) -> Field:
         """The field as trained so far."""
@@ -319,7 +254,7 @@ class Trainer:
             params=jax.tree.map(np.asarray, self.params["field"]),
             network=None if view is None else ViewNetwork(*(np.asarray(a) for a in view)),
             domain=self.domain,
-            occupancy=self.occupancy.optical(self.threshold()),
+            occupancy=self.occupancy.optical(),
             spacing=self.settings.spacing,
             cameras=self.dataset.cameras,
             dataset=str(self.dataset.root.resolve()),
@@ -346,7 +281,10 @@ class Trainer:
         """Go on from a `state`. Raises SnergError when it is another network's."""
         leaves, tree = jax.tree.flatten((self.params, self.moments))
         kept = [state.get(f"leaf_{i:03d}") for i in range(len(leaves))]
-        if any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True)) or state["alive"].shape != self.occupancy.alive.shape:
+        if (
+            any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True))
+            or state["alive"].shape != self.occupancy.alive.shape
+        ):
             raise SnergError("The field to go on with has another network than these settings; train into a new folder.")
         self.params, self.moments = jax.tree.unflatten(tree, [jnp.asarray(k) for k in kept])
         self.occupancy = Occupancy(state["alive"], state["most"].copy(), state["least"].copy())
@@ -374,14 +312,18 @@ def train_step(
     unbias = jnp.sqrt(1 - b2 ** jnp.float32(step)) / (1 - b1 ** jnp.float32(step))
 
     def update(path: Any, p: Any, g: Any, m: Any, v: Any) -> tuple[Any, Any, Any]:
-        factor = 1.0 if "table" in jax.tree_util.keystr(path) else settings.network_rate
+        table = "table" in jax.tree_util.keystr(path)
+        # A vertex that no sample of this step touched rests: were its moments to decay, one sample in ten steps would
+        # move it ten times as far as a sample in each does. And what hardly any light reaches counts as untouched:
+        # Adam would make full steps of gradients of 1e-14 and inflate every opaque surface until training collapses.
+        changes = finite & (jnp.abs(g) > NOTHING) if table else finite
         m2, v2 = b1 * m + (1 - b1) * g, b2 * v + (1 - b2) * g * g
-        p2 = p - rate * factor * unbias * m2 / (jnp.sqrt(v2) + 1e-15)
-        return jnp.where(finite, p2, p), jnp.where(finite, m2, m), jnp.where(finite, v2, v)
+        p2 = p - rate * (1.0 if table else settings.network_rate) * unbias * m2 / (jnp.sqrt(v2) + NOTHING)
+        return jnp.where(changes, p2, p), jnp.where(changes, m2, m), jnp.where(changes, v2, v)
 
     changed = jax.tree_util.tree_map_with_path(update, params, gradient, *moments)
-    new = [jax.tree.map(lambda t, i=i: t[i], changed, is_leaf=lambda t: isinstance(t, tuple) and len(t) == 3 and hasattr(t[0], "dtype")) for i in range(3)]
-    return new[0], (new[1], new[2]), (loss, error, finite)
+    p, m, v = jax.tree.transpose(jax.tree.structure(params), jax.tree.structure((0, 0, 0)), changed)
+    return p, (m, v), (loss, error, finite)
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
@@ -399,8 +341,7 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
     used = batch["used"].astype(jnp.float32)
     rays = jnp.maximum(used.sum(), 1)
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / rays
-    sparsity = (cauchy(jnp, density) * batch["real"]).sum() / jnp.maximum(batch["real"].sum(), 1)
-    loss = error + settings.sparsity * sparsity
+    loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / jnp.maximum(batch["valid"].sum(), 1)
     if has_alpha:
         loss = loss + settings.alpha * ((1 - through - alpha[:, 0]) ** 2 * used).sum() / rays
     return loss, error
@@ -451,6 +392,3 @@ def train(
     field = trainer.field()
     write_field(field, folder, trainer.state())
     return field
-
-
-__all__ = ["PRESETS", "TrainProgress", "TrainSettings", "Trainer", "hash_lookup", "replace", "train"]

@@ -113,9 +113,7 @@ class Lattice:
         return places[:, None] * DATA_VOXELS + offsets
 
 
-def occupied_blocks(
-    field: Field, lattice: Lattice, settings: BakeSettings, progress: Progress
-) -> tuple[np.ndarray, np.ndarray]:
+def occupied_blocks(field: Field, lattice: Lattice, settings: BakeSettings, progress: Progress) -> tuple[np.ndarray, np.ndarray]:
     """Which blocks have opacity above the threshold, bool [bx, by, bz], and theirs at voxel centres, float32 [M, 30, 30, 30]."""
     candidates = np.argwhere(may_hold(field, lattice))
     kept: list[np.ndarray] = []

@@ -17,7 +17,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..field.networks import view_residual
 from .box import CELL_VOXELS, DATA_VOXELS
-from .snerg import NETWORK_TRANSMITTANCE, Snerg
+from .snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 
 Progress = Callable[[float, str], None]
 MAX_SKIP = 10  # voxels that one jump inside a block can pass; more costs set-up time and saves little
@@ -49,7 +49,7 @@ class Frame:
 
     def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
         """[H, W, 3] in [0, 1] over a colour."""
-        return np.clip(self.colour + (1 - self.alpha[..., None]) * np.float32(background), 0, 1)
+        return np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1)
 
     def straight(self) -> np.ndarray:
         """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
@@ -130,9 +130,7 @@ def march_rays(
     return Composited(gathered[:, :3], features, through, depth * np.float32(snerg.voxel_size))
 
 
-def enter(
-    snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rays in voxel coordinates, re-based to where they enter the grid.
 
     Returns point of entry [N, 3], direction [N, 3] (both float32), and the distances in voxels [N] at which the
@@ -197,7 +195,7 @@ def _make_tables(snerg: Snerg) -> _Tables:
         base=base.reshape(-1).astype(np.int64),
         block_skip=chebyshev(full, max(full.shape)).reshape(-1).astype(np.int32),
         voxel_skip=_voxel_skip(words.reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS)),
-        blocks=full.shape,
+        blocks=blocks_of(snerg.shape),
     )
 
 

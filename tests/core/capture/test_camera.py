@@ -9,8 +9,8 @@ from scenes import looking, make_cameras
 from snerg.core.capture.camera import Camera, focal_from_angle, rigid
 from snerg.core.capture.dataset import focus_box
 from snerg.core.errors import SnergError
+from snerg.core.field.pixels import PixelPool
 from snerg.core.field.sampling import Domain
-from snerg.core.field.train import PixelPool
 
 
 @pytest.mark.hard_case(1, 2, 3)

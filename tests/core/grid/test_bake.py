@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from scenes import looking, make_dataset, random_network
 
+from scenes import looking, make_dataset, random_network
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.errors import Cancelled, SnergError

@@ -59,7 +59,11 @@ def test_empty_blocks_are_dropped_and_none_is_left_out():
 @pytest.mark.parametrize("alpha", [0.002, 0.004, 0.02, 0.3, 1.0])
 def test_thin_fog_keeps_its_colour(alpha):
     count = 40_000
-    stored = quantize(np.full((count, 3), 0.7 * alpha, np.float32), np.full(count, alpha, np.float32), np.random.default_rng(0).random((count, 4), np.float32))
+    stored = quantize(
+        np.full((count, 3), 0.7 * alpha, np.float32),
+        np.full(count, alpha, np.float32),
+        np.random.default_rng(0).random((count, 4), np.float32),
+    )
     colour, opacity = stored[:, 0].mean() / 255, stored[:, -1].mean() / 255
     assert opacity == pytest.approx(alpha, rel=0.03)
     assert colour / opacity == pytest.approx(0.7, abs=0.02)
@@ -71,7 +75,7 @@ def test_jitter_belongs_to_the_voxel():
     uniform, normal = voxel_uniform(voxels, 8, 3), voxel_normal(voxels, 2, 3)
     assert np.array_equal(voxel_uniform(voxels[7:9], 8, 3), uniform[7:9])
     assert not np.array_equal(voxel_uniform(voxels, 8, 4), uniform)
-    assert 0 <= uniform.min() and uniform.max() < 1
+    assert uniform.min() >= 0 and uniform.max() < 1
     assert np.abs(uniform.mean(axis=0) - 0.5).max() < 0.01 and np.abs(uniform.var(axis=0) - 1 / 12).max() < 0.003
     assert np.abs(normal.mean(axis=0)).max() < 0.03 and np.abs(normal.std(axis=0) - 1).max() < 0.03
     flat = normal.reshape(-1, 6)
