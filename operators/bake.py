@@ -6,13 +6,12 @@ from typing import Any
 
 import bpy
 
-from ..core.errors import SnergError
 from ..core.files import json_bytes, write_bytes
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import box_from_blender
 from ..snerg_addon.capture import evaluated
-from ..snerg_addon.project import Project, project_of, remember
+from ..snerg_addon.project import Project, remember
 from .job_runner import LongVerb
 
 
@@ -23,20 +22,11 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     bl_label = "Bake"
     bl_options = {"REGISTER"}
     step, label = "bake", "Baking"
-
-    @classmethod
-    def can_run(cls, context: bpy.types.Context) -> bool:
-        """There must be a field to bake."""
-        if not project_of(context.scene).has("field"):
-            cls.poll_message_set("There is no field; train or import one")
-            return False
-        return True
+    needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
         settings = context.scene.snerg
-        if not project.has("field"):
-            raise SnergError(f"There is no field in {project.field}; train or import one first.")
         arguments = ["bake", str(project.field), "--out", str(project.scene)]
         arguments += ["--resolution", str(settings.resolution), "--samples", str(settings.samples)]
         if settings.box:

@@ -8,16 +8,8 @@ import bpy
 
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.project import Project, project_of, remember
+from ..snerg_addon.project import Project, remember
 from .job_runner import LongVerb
-
-
-def needs_scene(cls: type[Any], context: bpy.types.Context) -> bool:
-    """Poll of what works on a baked scene."""
-    if not project_of(context.scene).has("scene"):
-        cls.poll_message_set("There is no baked scene; bake or import one")
-        return False
-    return True
 
 
 class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
@@ -27,11 +19,7 @@ class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
     bl_label = "Export Scene"
     bl_options = {"REGISTER"}
     step, label = "export", "Exporting the scene"
-
-    @classmethod
-    def can_run(cls, context: bpy.types.Context) -> bool:
-        """There must be a baked scene."""
-        return needs_scene(cls, context)
+    needs = "scene"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`export` of the command line."""

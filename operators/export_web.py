@@ -11,7 +11,6 @@ from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
-from .export_scene import needs_scene
 from .job_runner import LongVerb
 from .render_dataset import scene_cameras
 
@@ -23,11 +22,7 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
     bl_label = "Export Web Page"
     bl_options = {"REGISTER"}
     step, label = "export", "Exporting the web page"
-
-    @classmethod
-    def can_run(cls, context: bpy.types.Context) -> bool:
-        """There must be a baked scene."""
-        return needs_scene(cls, context)
+    needs = "scene"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bundle` of the command line, with the cameras as they stand now."""

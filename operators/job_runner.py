@@ -18,11 +18,13 @@ TICK_SECONDS = 0.2
 class LongVerb:
     """Mixed into an operator, which says what to start and what to do with the result.
 
-    step: the panel that shows it. label: what it is called while it runs.
+    step: the panel that shows it. label: what it is called while it runs. needs: the step of the project that must
+    be there first.
     """
 
     step: ClassVar[str]
     label: ClassVar[str]
+    needs: ClassVar[str] = ""
 
     def start(self, context: bpy.types.Context, project: Project) -> activity.Work:
         """Begin the work. Raises SnergError when something that it needs is missing."""
@@ -39,12 +41,7 @@ class LongVerb:
         if busy is not None:
             cls.poll_message_set(f"{busy.label} is still under way")  # type: ignore[attr-defined]
             return False
-        return cls.can_run(context)
-
-    @classmethod
-    def can_run(cls, context: bpy.types.Context) -> bool:
-        """What else must be there; sets the poll message where it is not."""
-        return True
+        return has_needed(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Do it and wait."""
@@ -117,6 +114,21 @@ class LongVerb:
             print(*work.log, sep="\n", file=sys.stderr)
         self.report({"WARNING" if isinstance(error, Cancelled) else "ERROR"}, str(error))  # type: ignore[attr-defined]
         return {"CANCELLED"}
+
+
+MISSING = {
+    "dataset": "There is no dataset; render one, or choose a folder with a transforms_train.json",
+    "field": "There is no field; train or import one",
+    "scene": "There is no baked scene; bake or import one",
+}
+
+
+def has_needed(verb: type[Any], context: bpy.types.Context) -> bool:
+    """Whether the step that `verb.needs` is there; sets the poll message where it is not."""
+    if verb.needs and not project_of(context.scene).has(verb.needs):
+        verb.poll_message_set(MISSING[verb.needs])
+        return False
+    return True
 
 
 def _print_progress(label: str) -> Any:

@@ -13,7 +13,7 @@ from ..core.grid.snerg import Snerg
 from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, project_of
-from .job_runner import redraw
+from .job_runner import has_needed, redraw
 
 
 class SNERG_OT_preview(bpy.types.Operator):
@@ -22,12 +22,12 @@ class SNERG_OT_preview(bpy.types.Operator):
     bl_idname = "snerg.preview"
     bl_label = "Preview"
     bl_options = {"REGISTER"}
+    needs = "scene"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a baked scene and a camera."""
-        if not project_of(context.scene).has("scene"):
-            cls.poll_message_set("There is no baked scene; bake or import one")
+        if not has_needed(cls, context):
             return False
         if context.scene.camera is None:
             cls.poll_message_set("The scene has no active camera")

@@ -6,10 +6,9 @@ from typing import Any
 
 import bpy
 
-from ..core.errors import SnergError
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.project import Project, project_of, remember
+from ..snerg_addon.project import Project, remember
 from .job_runner import LongVerb
 
 
@@ -20,20 +19,11 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
     bl_label = "Train Field"
     bl_options = {"REGISTER"}
     step, label = "field", "Training"
-
-    @classmethod
-    def can_run(cls, context: bpy.types.Context) -> bool:
-        """There must be something to train on."""
-        if not project_of(context.scene).has("dataset"):
-            cls.poll_message_set("There is no dataset; render one, or choose a folder with a transforms_train.json")
-            return False
-        return True
+    needs = "dataset"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`train` of the command line."""
         settings = context.scene.snerg
-        if not project.has("dataset"):
-            raise SnergError(f"There is no dataset in {project.dataset}; render one first.")
         length = ["--steps", str(settings.steps)] if settings.steps else ["--minutes", f"{settings.minutes:g}"]
         arguments = ["train", str(project.dataset), "--out", str(project.field), "--preset", settings.preset, "--seed", str(settings.seed)]
         return start_verb([*arguments, *length])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from ..core.errors import Cancelled, SnergError
-from ..core.jobs.runner import State
+from ..core.jobs.runner import State, outcome
 
 
 class Work(Protocol):
@@ -73,11 +73,7 @@ class Steps:
         except BaseException:
             self._steps.close()
             raise
-        if self.state == "cancelled":
-            raise Cancelled(self.error)
-        if self.state == "failed":
-            raise SnergError(self.error)
-        return self.result
+        return outcome(self.state, self.result, self.error)
 
 
 @dataclass

@@ -110,11 +110,7 @@ class Job:
             while self.poll():
                 time.sleep(interval)
             raise
-        if self.state == "cancelled":
-            raise Cancelled(self.error)
-        if self.state == "failed":
-            raise SnergError(self.error)
-        return self.result
+        return outcome(self.state, self.result, self.error)
 
     def _press(self, seconds: float) -> None:
         """Of a job that was told to stop `seconds` ago: end it if it does not."""
@@ -180,6 +176,15 @@ class Job:
         with stream:
             for raw in stream:
                 self.log.append(raw.decode(errors="replace").rstrip())
+
+
+def outcome(state: State, result: dict[str, Any], error: str) -> dict[str, Any]:
+    """The result of work that has ended. Raises Cancelled or SnergError with its sentence when it did not end well."""
+    if state == "cancelled":
+        raise Cancelled(error)
+    if state == "failed":
+        raise SnergError(error)
+    return result
 
 
 def start_verb(arguments: Sequence[str], python: str | None = None) -> Job:
