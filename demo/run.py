@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import shutil
 import sys
 import time
@@ -69,7 +70,7 @@ def main() -> int:
     watch = Stopwatch()
     shutil.rmtree(options.out, ignore_errors=True)
     options.out.mkdir(parents=True)
-    with watch.stage("render"):
+    with watch.stage("render"), quiet():
         capture(options, watch)
     views, held_out = read_dataset(options.out / "dataset", "train"), read_dataset(options.out / "dataset", "test")
     with watch.stage("train"):
@@ -99,6 +100,20 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=3.0, help="of training (default: %(default)s)")
     parser.add_argument("--resolution", type=int, default=320, help="voxels along the longest side (default: %(default)s)")
     return parser.parse_args()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep Blender's line for every tile and file, which it prints from C, off the screen."""
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def capture(options: argparse.Namespace, watch: Stopwatch) -> None:
