@@ -154,14 +154,13 @@ class Occupancy:
     def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
         """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N].
 
-        The upper estimate jumps up and sinks slowly, the lower one the other way round: where a surface cuts a
-        cell the lower one is near 0, so only what is solid ends a ray.
+        The upper estimate jumps up and sinks slowly, the lower one the other way round.
         """
         cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
         found = query(self.points_in(cells, rng))
         most, least = self.most[cells], self.least[cells]
         self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.85 * most + 0.15 * found))
-        self.least[cells] = np.minimum(found, 0.85 * least + 0.15 * found)
+        self.least[cells] = np.minimum(found, 0.5 * (least + found))
 
     def prune(self, threshold: float) -> None:
         """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
@@ -179,8 +178,18 @@ class Occupancy:
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
     def optical(self) -> np.ndarray:
-        """float32 [CELLS^3]: the lower estimate of density, at least 1e-6, in cells that are left; else 0."""
-        return np.where(self.most > 0, np.maximum(self.least, np.float32(1e-6)), 0).astype(np.float32)
+        """float32 [CELLS^3]: a density that is not exceeded anywhere near, at least 1e-6, in cells that are left; else 0.
+
+        It is the least of a cell and its 26 neighbours, so it is 0 at every surface and only the inside of something
+        solid ends a ray. An estimate of the cell alone ends rays in front of surfaces; what then shines through is
+        made up for by more density there, and that feeds on itself.
+        """
+        least = self.least.reshape((CELLS,) * 3)
+        for axis in range(3):
+            wide = np.pad(least, [(1, 1) if a == axis else (0, 0) for a in range(3)])
+            parts = [np.take(wide, np.arange(CELLS) + shift, axis=axis) for shift in range(3)]
+            least = np.minimum(np.minimum(parts[0], parts[1]), parts[2])
+        return np.where(self.most > 0, np.maximum(least.reshape(-1), np.float32(1e-6)), 0).astype(np.float32)
 
 
 def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:

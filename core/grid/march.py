@@ -237,7 +237,11 @@ def _spread(mask: np.ndarray, axis: int) -> np.ndarray:
 
 
 class _Walk:
-    """A batch of rays on their way through the grid; the live ones are kept packed together."""
+    """A batch of rays on their way through the grid.
+
+    What a ray carries lies in one array a quantity, packed together as rays end: NumPy is fast on long plain arrays
+    and slow on gathering rows of three.
+    """
 
     def __init__(
         self,
@@ -250,80 +254,106 @@ class _Walk:
         visited: np.ndarray | None = None,
     ) -> None:
         self.tables, self.settings, self.visited = tables, settings, visited
-        self.entry, self.direction, self.start = entry, direction, start
-        # Sample k stands at start + 0.5 + k; the last one before the exit:
+        count = len(entry)
+        self.colour = np.zeros((count, tables.channels), np.float32)
+        self.through = np.ones(count, np.float32)
+        self.depth = np.zeros(count, np.float32)
+        # The live rays:
+        self.ray = np.arange(count)
+        self.entry = [np.ascontiguousarray(entry[:, axis]) for axis in range(3)]
+        self.direction = [np.ascontiguousarray(direction[:, axis]) for axis in range(3)]
+        self.light = np.ones(count, np.float32)
+        self.start = start.astype(np.float32)
+        self.step = np.zeros(count, np.int32)
+        # Sample k stands at start + 0.5 + k; so many of them come before the exit:
         self.samples = np.ceil(stop - start - 0.5).astype(np.int32)
-        self.pace = 1 / np.maximum(np.abs(direction).max(axis=-1), 1e-12)  # steps to move one voxel along the fastest axis
-        self.colour = np.zeros((len(entry), tables.channels), np.float32)
-        self.through = np.ones(len(entry), np.float32)
-        self.depth = np.zeros(len(entry), np.float32)
+        self.pace = 1 / np.maximum(np.abs(direction).max(axis=-1), np.float32(1e-12))  # steps to move a voxel along the fastest axis
 
     def run(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Composited values [N, C] (the last channel is alpha's), transmittance [N], depth times opacity in voxels [N]."""
-        live = np.arange(len(self.entry))
-        step = np.zeros(len(live), np.int32)
-        while len(live):
-            step += self.advance(live, step)
-            keep = step < self.samples[live]
-            keep &= self.through[live] > self.settings.stop_transmittance
-            if not keep.all():
-                live, step = live[keep], step[keep]
+        while len(self.ray):
+            self.step += self.advance()
+            live = (self.step < self.samples) & (self.light > self.settings.stop_transmittance)
+            kept = int(np.count_nonzero(live))
+            if kept < 0.9 * len(live) or not kept:
+                self.pack(live)
+            else:
+                # Too few have ended to be worth packing: they stand still at their last sample, and let no light through.
+                self.rest(~live)
         return self.colour, self.through, self.depth
 
-    def advance(self, live: np.ndarray, step: np.ndarray) -> np.ndarray:
+    def pack(self, live: np.ndarray) -> None:
+        """Keep the live rays only."""
+        self.through[self.ray] = np.where(self.light >= 0, self.light, self.through[self.ray])
+        self.ray, self.light, self.start = self.ray[live], self.light[live], self.start[live]
+        self.step, self.samples, self.pace = self.step[live], self.samples[live], self.pace[live]
+        self.entry = [a[live] for a in self.entry]
+        self.direction = [a[live] for a in self.direction]
+
+    def rest(self, ended: np.ndarray) -> None:
+        """Set ended rays aside: what they have is written down, and light below 0 marks them."""
+        rows = np.flatnonzero(ended & (self.light >= 0))
+        self.through[self.ray[rows]] = self.light[rows]
+        self.light[rows] = -1
+        self.step[rows] = self.samples[rows]
+
+    def advance(self) -> np.ndarray:
         """Take the sample that each live ray stands at; return how many steps to the next that can matter."""
-        tables = self.tables
-        t = step.astype(np.float32) + np.float32(0.5)
-        point = self.entry[live] + self.direction[live] * t[:, None]
+        tables, blocks = self.tables, self.tables.blocks
+        t = self.step + np.float32(0.5)
+        point = [e + d * t for e, d in zip(self.entry, self.direction, strict=True)]
         # The grid's outer faces belong to it: rounding must not push a sample out of its block.
-        block = np.clip((point * np.float32(1 / DATA_VOXELS)).astype(np.int32), 0, np.array(tables.blocks, np.int32) - 1)
-        number = (block[:, 0] * tables.blocks[1] + block[:, 1]) * tables.blocks[2] + block[:, 2]
+        block = [np.clip((p * np.float32(1 / DATA_VOXELS)).astype(np.int32), 0, n - 1) for p, n in zip(point, blocks, strict=True)]
+        number = (block[0] * blocks[1] + block[1]) * blocks[2] + block[2]
         base = tables.base[number]
-        move = np.ones(len(live), np.int32)
+        move = np.ones(len(t), np.int32)
         full = base >= 0
         if self.settings.skip:
             empty = np.flatnonzero(~full)
-            move[empty] = self.leave(live[empty], point[empty], block[empty], tables.block_skip[number[empty]])
-        rows = np.flatnonzero(full)
-        local = point[rows] - (block[rows] * DATA_VOXELS).astype(np.float32) + np.float32(0.5)
-        corner = np.minimum(local.astype(np.int32), CELL_VOXELS - 2)
-        first = base[rows] + ((corner[:, 0] * CELL_VOXELS + corner[:, 1]) * CELL_VOXELS + corner[:, 2])
+            move[empty] = self.leave(empty, point, block, tables.block_skip[number[empty]])
+        rows = np.flatnonzero(full & (self.light >= 0))
+        local = [p[rows] - (b[rows] * DATA_VOXELS - np.float32(0.5)).astype(np.float32) for p, b in zip(point, block, strict=True)]
+        corner = [np.minimum(x.astype(np.int32), CELL_VOXELS - 2) for x in local]
+        first = base[rows] + ((corner[0] * CELL_VOXELS + corner[1]) * CELL_VOXELS + corner[2])
         skip = tables.voxel_skip[first]
         if self.settings.skip:
-            far = np.flatnonzero(skip > 1)
-            move[rows[far]] = 1 + ((skip[far] - 1) * self.pace[live[rows[far]]]).astype(np.int32)
+            move[rows] = 1 + (np.maximum(skip, 1) - 1) * self.pace[rows]
         near = np.flatnonzero(skip == 0)
         if len(near):
-            fraction = local[near] - corner[near]
-            if self.visited is not None:
-                self.visited[first[near] + (fraction >= 0.5) @ CORNERS[[4, 2, 1]]] = True  # the nearest voxel
-            self.gather(live[rows[near]], first[near], fraction, t[rows[near]])
+            fraction = [x[near] - c[near] for x, c in zip(local, corner, strict=True)]
+            self.gather(rows[near], first[near], fraction, t[rows[near]])
         return move
 
-    def leave(self, live: np.ndarray, point: np.ndarray, block: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    def leave(self, rows: np.ndarray, point: list[np.ndarray], block: list[np.ndarray], distance: np.ndarray) -> np.ndarray:
         """Steps to the first sample outside the cube of empty blocks around `block` (a hair early, never late)."""
-        radius = (distance - 1)[:, None]
-        direction = self.direction[live]
-        wall = np.where(direction >= 0, block + 1 + radius, block - radius) * np.float32(DATA_VOXELS)
-        safe = np.where(np.abs(direction) < 1e-9, 1, direction)
-        steps = np.where(np.abs(direction) < 1e-9, np.float32(1e9), (wall - point) / safe).min(axis=-1)
-        return np.maximum(np.minimum(steps - np.float32(1e-2), 1e9).astype(np.int32) + 1, 1)
+        steps = np.full(len(rows), np.float32(1e9))
+        for axis in range(3):
+            direction = self.direction[axis][rows]
+            forward = np.where(direction >= 0, distance, 1 - distance)  # in blocks, to the cube's far face
+            wall = (block[axis][rows] + forward) * np.float32(DATA_VOXELS)
+            flat = np.abs(direction) < 1e-9
+            reach = (wall - point[axis][rows]) / np.where(flat, np.float32(1), direction)
+            np.minimum(steps, np.where(flat, np.float32(1e9), reach), out=steps)
+        return np.maximum((steps - np.float32(1e-2)).astype(np.int32) + 1, 1)
 
-    def gather(self, rays: np.ndarray, first: np.ndarray, fraction: np.ndarray, t: np.ndarray) -> None:
+    def gather(self, rows: np.ndarray, first: np.ndarray, fraction: list[np.ndarray], t: np.ndarray) -> None:
         """Trilinear interpolation at the samples that hold something, composited front to back."""
+        if self.visited is not None:
+            nearest = sum((f >= 0.5) * step for f, step in zip(fraction, CORNERS[[4, 2, 1]], strict=True))
+            self.visited[first + nearest] = True
         words = self.tables.words[first[:, None] + CORNERS]
-        values = words.view(np.uint8).reshape(len(rays), 8, self.tables.channels).astype(np.float32)
-        fx, fy, fz = fraction[:, 0], fraction[:, 1], fraction[:, 2]
-        through = self.through[rays]
-        x0, x1 = (1 - fx), fx
-        weights = np.empty((len(rays), 8), np.float32)
-        for i, wx in enumerate((x0, x1)):
+        values = words.view(np.uint8).reshape(len(rows), 8, self.tables.channels).astype(np.float32)
+        fx, fy, fz = fraction
+        light = self.light[rows]
+        scale = light * np.float32(1 / 255)
+        weights = np.empty((len(rows), 8), np.float32)
+        for i, wx in enumerate(((1 - fx) * scale, fx * scale)):
             for j, wy in enumerate((1 - fy, fy)):
-                wxy = wx * wy
-                weights[:, 4 * i + 2 * j + 1] = wxy * fz
-                weights[:, 4 * i + 2 * j] = wxy - weights[:, 4 * i + 2 * j + 1]
-        weights *= (through * np.float32(1 / 255))[:, None]
+                both = wx * wy
+                weights[:, 4 * i + 2 * j + 1] = both * fz
+                weights[:, 4 * i + 2 * j] = both - weights[:, 4 * i + 2 * j + 1]
         sample = np.einsum("nk,nkc->nc", weights, values)
+        rays = self.ray[rows]
         self.colour[rays] += sample
-        self.through[rays] = through - sample[:, -1]
-        self.depth[rays] += sample[:, -1] * (self.start[rays] + t).astype(np.float32)
+        self.light[rows] = np.maximum(light - sample[:, -1], 0)
+        self.depth[rays] += sample[:, -1] * (self.start[rows] + t)
