@@ -21,6 +21,7 @@ from .snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 
 Progress = Callable[[float, str], None]
 MAX_SKIP = 10  # voxels that one jump inside a block can pass; more costs set-up time and saves little
+SHARE = 2**17  # rays between two calls of `progress`, in each thread
 CORNERS = np.array([(x * CELL_VOXELS + y) * CELL_VOXELS + z for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
 
 
@@ -28,12 +29,12 @@ CORNERS = np.array([(x * CELL_VOXELS + y) * CELL_VOXELS + z for x in (0, 1) for 
 class MarchSettings:
     """stop_transmittance: a ray ends when less than this passes; it bounds the error of a pixel.
 
-    batch: rays marched together (what fits the caches). threads: batches at a time.
+    batch: rays marched together (what fits the caches), new ones taken in as others end. threads: such batches at a time.
     skip: jump over empty voxels; the picture is the same without, only later.
     """
 
     stop_transmittance: float = 4e-5
-    batch: int = 12288
+    batch: int = 65536
     threads: int = 2
     skip: bool = True
 
@@ -117,7 +118,8 @@ def march_rays(
     through = np.ones(count, np.float32)
     depth = np.zeros(count, np.float32)
     hit = np.flatnonzero(stop > start + 0.5)
-    batches = [hit[i : i + settings.batch] for i in range(0, len(hit), settings.batch)]
+    share = max(settings.batch, min(SHARE, -(-len(hit) // settings.threads)))
+    batches = [hit[i : i + share] for i in range(0, len(hit), share)]
 
     def run(rays: np.ndarray) -> None:
         walk = _Walk(tables, origin[rays], direction[rays], start[rays], stop[rays], settings, visited)
@@ -258,16 +260,19 @@ class _Walk:
         self.colour = np.zeros((count, tables.channels), np.float32)
         self.through = np.ones(count, np.float32)
         self.depth = np.zeros(count, np.float32)
-        # The live rays:
-        self.ray = np.arange(count)
-        self.entry = [np.ascontiguousarray(entry[:, axis]) for axis in range(3)]
-        self.direction = [np.ascontiguousarray(direction[:, axis]) for axis in range(3)]
-        self.light = np.ones(count, np.float32)
-        self.start = start.astype(np.float32)
-        self.step = np.zeros(count, np.int32)
-        # Sample k stands at start + 0.5 + k; so many of them come before the exit:
-        self.samples = np.ceil(stop - start - 0.5).astype(np.int32)
-        self.pace = 1 / np.maximum(np.abs(direction).max(axis=-1), np.float32(1e-12))  # steps to move a voxel along the fastest axis
+        # Steps to move a voxel along the fastest axis; and how many samples come before the exit, sample k at start + 0.5 + k.
+        pace = 1 / np.maximum(np.abs(direction).max(axis=-1), np.float32(1e-12))
+        samples = np.ceil(stop - start - 0.5).astype(np.int32)
+        inverse = 1 / np.where(np.abs(direction) < 1e-7, np.float32(1e-7), direction)
+        columns = [*entry.T, *direction.T, *inverse.T, start.astype(np.float32), pace, samples]
+        self.all = [np.ascontiguousarray(column) for column in columns]
+        self.begun = 0
+        self.ray = np.zeros(0, np.int64)
+        self.step = np.zeros(0, np.int32)
+        self.light = np.zeros(0, np.float32)
+        self.live = [column[:0] for column in self.all]
+        self.samples = samples[:0]
+        self.pack(np.zeros(0, bool))
 
     def run(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Composited values [N, C] (the last channel is alpha's), transmittance [N], depth times opacity in voxels [N]."""
@@ -275,20 +280,25 @@ class _Walk:
             self.step += self.advance()
             live = (self.step < self.samples) & (self.light > self.settings.stop_transmittance)
             kept = int(np.count_nonzero(live))
-            if kept < 0.9 * len(live) or not kept:
+            if kept < 0.85 * len(live):
                 self.pack(live)
-            else:
+            elif kept < len(live):
                 # Too few have ended to be worth packing: they stand still at their last sample, and let no light through.
                 self.rest(~live)
         return self.colour, self.through, self.depth
 
     def pack(self, live: np.ndarray) -> None:
-        """Keep the live rays only."""
-        self.through[self.ray] = np.where(self.light >= 0, self.light, self.through[self.ray])
-        self.ray, self.light, self.start = self.ray[live], self.light[live], self.start[live]
-        self.step, self.samples, self.pace = self.step[live], self.samples[live], self.pace[live]
-        self.entry = [a[live] for a in self.entry]
-        self.direction = [a[live] for a in self.direction]
+        """Keep the live rays only, and begin as many new ones as a batch has room for."""
+        self.rest(~live)
+        new = np.arange(self.begun, min(self.begun + self.settings.batch - int(np.count_nonzero(live)), len(self.colour)))
+        self.begun += len(new)
+        fresh = slice(self.begun - len(new), self.begun)
+        self.ray = np.concatenate([self.ray[live], new])
+        self.step = np.concatenate([self.step[live], np.zeros(len(new), np.int32)])
+        self.light = np.concatenate([self.light[live], np.ones(len(new), np.float32)])
+        self.live = [np.concatenate([here[live], column[fresh]]) for here, column in zip(self.live, self.all, strict=True)]
+        self.entry, self.direction, self.inverse = self.live[:3], self.live[3:6], self.live[6:9]
+        self.start, self.pace, self.samples = self.live[9:]
 
     def rest(self, ended: np.ndarray) -> None:
         """Set ended rays aside: what they have is written down, and light below 0 marks them."""
@@ -303,7 +313,8 @@ class _Walk:
         t = self.step + np.float32(0.5)
         point = [e + d * t for e, d in zip(self.entry, self.direction, strict=True)]
         # The grid's outer faces belong to it: rounding must not push a sample out of its block.
-        block = [np.clip((p * np.float32(1 / DATA_VOXELS)).astype(np.int32), 0, n - 1) for p, n in zip(point, blocks, strict=True)]
+        scale = np.float32(1 / DATA_VOXELS)
+        block = [np.minimum((p * scale).astype(np.int32), n - 1) for p, n in zip(point, blocks, strict=True)]
         number = (block[0] * blocks[1] + block[1]) * blocks[2] + block[2]
         base = tables.base[number]
         move = np.ones(len(t), np.int32)
@@ -328,12 +339,10 @@ class _Walk:
         """Steps to the first sample outside the cube of empty blocks around `block` (a hair early, never late)."""
         steps = np.full(len(rows), np.float32(1e9))
         for axis in range(3):
-            direction = self.direction[axis][rows]
-            forward = np.where(direction >= 0, distance, 1 - distance)  # in blocks, to the cube's far face
-            wall = (block[axis][rows] + forward) * np.float32(DATA_VOXELS)
-            flat = np.abs(direction) < 1e-9
-            reach = (wall - point[axis][rows]) / np.where(flat, np.float32(1), direction)
-            np.minimum(steps, np.where(flat, np.float32(1e9), reach), out=steps)
+            inverse = self.inverse[axis][rows]
+            # In blocks, to the cube's far face: `distance` ahead, or distance - 1 back.
+            faces = block[axis][rows] + np.where(inverse > 0, distance, 1 - distance)
+            np.minimum(steps, (faces * np.float32(DATA_VOXELS) - point[axis][rows]) * inverse, out=steps)
         return np.maximum((steps - np.float32(1e-2)).astype(np.int32) + 1, 1)
 
     def gather(self, rows: np.ndarray, first: np.ndarray, fraction: list[np.ndarray], t: np.ndarray) -> None:
