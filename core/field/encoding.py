@@ -19,7 +19,7 @@ class HashGrid:
     coarsest: int = 16
     finest: int = 512
     features: int = 4
-    log2_size: int = 18
+    log2_size: int = 17
 
     @cached_property
     def resolutions(self) -> np.ndarray:

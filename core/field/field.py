@@ -22,7 +22,7 @@ class Field:
     """The deferred NeRF (section 4.2).
 
     family: what the network is; params: its arrays, NumPy; network: the view-dependence network, None when diffuse.
-    domain: the field's coordinates in the world. occupancy: float32 [128^3] as Occupancy.optical, or None where
+    domain: the field's coordinates in the world. occupancy: bool [128^3] (see Occupancy), or None where
     anything may be anywhere. spacing: distance between samples, field coordinates. cameras: those it was trained from.
     dataset: the folder it was trained from, '' when imported. about: history and settings, JSON values.
     """
@@ -77,5 +77,5 @@ class Field:
         """[N] bool: field coordinates at which there may be something."""
         inside = ((x >= self.domain.low - 1e-6) & (x <= self.domain.high + 1e-6)).all(axis=-1)
         if self.occupancy is not None:
-            inside &= self.occupancy[cell_index(x)] > 0
+            inside &= self.occupancy[cell_index(x)]
         return inside

@@ -23,11 +23,11 @@ def render_field(field: Field, camera: Camera, progress: Progress = lambda fract
     origins, directions = camera.rays()
     count = len(origins)
     gathered, through, depth = np.zeros((count, 8), np.float32), np.ones(count, np.float32), np.full(count, np.inf, np.float32)
-    optical = field.occupancy if field.occupancy is not None else np.full(CELLS**3, 1e-6, np.float32)
+    occupied = field.occupancy if field.occupancy is not None else np.ones(CELLS**3, bool)
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
         x, towards = (origins[rows] - field.domain.centre) * field.domain.scale, directions[rows]
-        samples = pack_samples(field.domain, optical, x, towards, field.spacing, np.full(len(x), 0.5), camera.near * field.domain.scale)
+        samples = pack_samples(field.domain, occupied, x, towards, field.spacing, np.full(len(x), 0.5), camera.near * field.domain.scale)
         density, values = field.evaluate(samples.points)
         values = np.concatenate([values, samples.distance[:, None]], axis=-1)
         thickness = optical_depth(np, density, np.float32(field.spacing))

@@ -16,7 +16,6 @@ from ..grid.box import Box
 
 CELLS = 128  # of the occupancy grid along an axis
 COARSE_CELLS = 64  # of the first look for the hull
-TERMINATE = 7.0  # optical depth after which a ray is over: transmittance < 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,35 +140,32 @@ def cell_centres(cells: int) -> np.ndarray:
 class Occupancy:
     """Which cells hold something, as far as the field has learned.
 
-    alive: bool [CELLS^3], what the hull allows; cells: those not given up. most, least: float32 [CELLS^3], running upper
-    and lower estimates of the density in a cell; a cell that nobody has looked at yet counts as full (most infinite) but stops no ray.
+    cells: those not given up. most: float32 [CELLS^3], a running upper estimate of the density in a cell, infinite where
+    nobody has looked yet, 0 in cells given up.
     """
 
-    def __init__(self, alive: np.ndarray, most: np.ndarray | None = None, least: np.ndarray | None = None) -> None:
-        self.alive = alive
-        self.most = np.where(alive, np.float32(np.inf), np.float32(0)) if most is None else most
-        self.least = np.zeros(len(alive), np.float32) if least is None else least
-        self.cells = np.flatnonzero(self.most > 0)
+    def __init__(self, most: np.ndarray) -> None:
+        self.most = most
+        self.cells = np.flatnonzero(most > 0)
+
+    @classmethod
+    def of_hull(cls, alive: np.ndarray) -> Occupancy:
+        """All that the hull allows, bool [CELLS^3], may hold something."""
+        return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
 
     def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
-        """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N].
-
-        The upper estimate jumps up and sinks slowly, the lower one the other way round.
-        """
+        """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N]."""
         cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
         found = query(self.points_in(cells, rng))
-        most, least = self.most[cells], self.least[cells]
-        self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.85 * most + 0.15 * found))
-        self.least[cells] = np.minimum(found, 0.5 * (least + found))
+        most = self.most[cells]
+        self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.8 * most + 0.2 * found))
 
     def prune(self, threshold: float) -> None:
         """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
         whatever the field comes to hold there would be garbage."""
-        self.cells = self.cells[self.most[self.cells] > threshold]
-        kept = np.zeros_like(self.alive)
-        kept[self.cells] = True
-        self.most[~kept] = 0
-        self.least[~kept] = 0
+        given_up = self.cells[self.most[self.cells] <= threshold]
+        self.most[given_up] = 0
+        self.cells = np.flatnonzero(self.most > 0)
 
     @staticmethod
     def points_in(cells: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -177,19 +173,10 @@ class Occupancy:
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
-    def optical(self) -> np.ndarray:
-        """float32 [CELLS^3]: a density that is not exceeded anywhere near, at least 1e-6, in cells that are left; else 0.
-
-        It is the least of a cell and its 26 neighbours, so it is 0 at every surface and only the inside of something
-        solid ends a ray. An estimate of the cell alone ends rays in front of surfaces; what then shines through is
-        made up for by more density there, and that feeds on itself.
-        """
-        least = self.least.reshape((CELLS,) * 3)
-        for axis in range(3):
-            wide = np.pad(least, [(1, 1) if a == axis else (0, 0) for a in range(3)])
-            parts = [np.take(wide, np.arange(CELLS) + shift, axis=axis) for shift in range(3)]
-            least = np.minimum(np.minimum(parts[0], parts[1]), parts[2])
-        return np.where(self.most > 0, np.maximum(least.reshape(-1), np.float32(1e-6)), 0).astype(np.float32)
+    @property
+    def occupied(self) -> np.ndarray:
+        """bool [CELLS^3]."""
+        return self.most > 0
 
 
 def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,45 +201,31 @@ class Samples:
 
 def pack_samples(
     domain: Domain,
-    optical: np.ndarray,
+    occupied: np.ndarray,
     origins: np.ndarray,
     directions: np.ndarray,
     length: float,
     offset: np.ndarray,
     near: float | np.ndarray = 0.0,
-    most: int | None = None,
 ) -> Samples:
-    """Samples of rays [R, 3] (field coordinates) at a spacing `length`, only in occupied cells and only as far as
-    light still gets (from the occupancy grid's lower estimate of density).
+    """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
 
-    optical: `Occupancy.optical`. offset: [R] in [0, 1), where in its first interval a ray starts. `most` samples are
-    packed at most; rays past that have none (whole rays only).
+    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts.
     """
     enter, leave = clip_rays(domain, origins, directions, near)
     counts = np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64)
-    ray, step = coarse_steps(optical, origins, directions, enter, length, offset, counts)
+    ray, step = coarse_steps(occupied, origins, directions, enter, length, offset, counts)
     distance = (enter[ray] + (step + offset[ray]) * length).astype(np.float32)
     points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * distance[:, None]
-    here = optical[cell_index(points)]
-    full = np.flatnonzero(here > 0)
-    ray, points, distance, here = ray[full], points[full], distance[full], here[full]
-    if len(ray):
-        total = np.cumsum(here.astype(np.float64) * length)
-        first = np.searchsorted(ray, np.arange(len(origins) + 1))
-        before = np.concatenate([[0.0], total])
-        reached = np.flatnonzero(before[:-1] - before[first[ray]] < TERMINATE)
-        if most is not None and len(reached) > most:
-            last = ray[reached[most]]
-            reached = reached[: np.searchsorted(ray[reached], last)]
-        ray, points, distance = ray[reached], points[reached], distance[reached]
-    return Samples(points, ray, length, distance)
+    full = np.flatnonzero(occupied[cell_index(points)])
+    return Samples(points[full], ray[full], length, distance[full])
 
 
 BLOCK = 8  # steps that one look at the coarse level decides on
 
 
 def coarse_steps(
-    optical: np.ndarray,
+    occupied: np.ndarray,
     origins: np.ndarray,
     directions: np.ndarray,
     enter: np.ndarray,
@@ -268,7 +241,7 @@ def coarse_steps(
     block = np.arange(len(ray)) - first[ray]
     middle = enter[ray] + (offset[ray] + (BLOCK - 1) / 2) * length + block * span
     points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * middle[:, None].astype(np.float32)
-    coarse, factor = coarser(optical, span)
+    coarse, factor = coarser(occupied, span)
     index = ((points + 1) * np.float32(CELLS // factor / 2)).astype(np.int32).clip(0, CELLS // factor - 1)
     size = CELLS // factor
     keep = np.flatnonzero(coarse[(index[:, 0] * size + index[:, 1]) * size + index[:, 2]])
@@ -281,16 +254,16 @@ def coarse_steps(
 _coarser: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
 
 
-def coarser(optical: np.ndarray, span: float) -> tuple[np.ndarray, int]:
+def coarser(occupied: np.ndarray, span: float) -> tuple[np.ndarray, int]:
     """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough."""
     factor = 4
     cell = 2 * factor / CELLS
     reach = int(np.ceil(span / 2 / cell))
-    key = (id(optical), reach)
+    key = (id(occupied), reach)
     kept = _coarser.get(key)
-    if kept is None or kept[0] is not optical:
+    if kept is None or kept[0] is not occupied:
         size = CELLS // factor
-        coarse = (optical.reshape(size, factor, size, factor, size, factor) > 0).any(axis=(1, 3, 5))
+        coarse = occupied.reshape(size, factor, size, factor, size, factor).any(axis=(1, 3, 5))
         for axis in range(3):
             for _ in range(reach):
                 wide = coarse.copy()
@@ -300,7 +273,7 @@ def coarser(optical: np.ndarray, span: float) -> tuple[np.ndarray, int]:
                 wide[tuple(ahead)] |= coarse[tuple(back)]
                 coarse = wide
         _coarser.clear()
-        kept = _coarser[key] = (optical, coarse.reshape(-1))
+        kept = _coarser[key] = (occupied, coarse.reshape(-1))
     return kept[1], factor
 
 

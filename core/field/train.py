@@ -32,7 +32,7 @@ MOST_RAYS = 8192  # in a step
 UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may be given up
-SPACINGS = ((0.1, 8), (0.25, 4), (0.55, 2), (2.0, 1))  # (until this fraction, times the final spacing)
+SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (2.0, 1))  # (until this fraction, times the final spacing)
 NOTHING = 1e-9  # a gradient this small is none; those that teach are 1e-7 and more
 NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
 
@@ -51,9 +51,9 @@ class TrainSettings:
     family: Family = HashFamily()
     view_dependence: bool = True
     samples: int = 32768
-    spacing: float = 2 / 320
-    rate: float = 2e-2
-    final_rate: float = 6e-4
+    spacing: float = 2 / 256
+    rate: float = 4e-2
+    final_rate: float = 8e-4
     network_rate: float = 1.0
     beta_2: float = 0.99
     warm_up: int = 64
@@ -106,21 +106,20 @@ class Trainer:
         masks = [i[..., 3] > 0 if i.shape[-1] == 4 else None for i in images]
         self.domain, alive = hull(dataset.suggested_box(), dataset.cameras, masks)
         self.pool = PixelPool(images, dataset.cameras, self.domain)
-        self.occupancy = Occupancy(alive)
+        self.occupancy = Occupancy.of_hull(alive)
         self.rng = np.random.default_rng(settings.seed)
         self.params = jax.tree.map(jnp.asarray, init_field(settings.family, settings.view_dependence, self.rng))
         self.moments = jax.tree.map(jnp.zeros_like, self.params), jax.tree.map(jnp.zeros_like, self.params)
         self.step = 0
         self.elapsed = 0.0
-        self.optical = self.occupancy.optical()
+        self.occupied = self.occupancy.occupied
         self.samples_per_ray = 32.0
         self.history: list[dict[str, float]] = []
         self.loss = self.error = 0.0
         self.bad = 0
-        self.next_batch: tuple[dict[str, Any], int, int] | None = None
-        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray  # before the next batch was drawn
         self._inputs = jax.jit(partial(field_inputs, jnp, settings.family))
         self._density = jax.jit(lambda params, inputs: field_outputs(jnp, settings.family, params, inputs)[0])
+        progress(0.0, "Compiling the training step")
         self._step = jax.jit(partial(train_step, settings, self.pool.alpha), donate_argnums=(0, 1))
 
     def fraction(self) -> float:
@@ -148,13 +147,11 @@ class Trainer:
 
     def advance(self) -> tuple[int, int]:
         """One step. Returns how many samples and rays it had. Raises SnergError as `run` does."""
-        batch, samples, rays = self.next_batch or self.batch()
+        batch, samples, rays = self.batch()
         self.params, self.moments, report = self._step(self.params, self.moments, batch, self.rate(), self.step + 1)
         self.step += 1
         if self.step % UPDATE_EVERY == 0 or self.step in (16, 32):
             self.update_occupancy()
-        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray
-        self.next_batch = self.batch()  # while the step runs
         loss, error, finite = (float(x) for x in report)
         self.bad = 0 if finite else self.bad + 1
         if self.bad >= 5:
@@ -185,11 +182,11 @@ class Trainer:
         return self.settings.spacing * next(factor for until, factor in SPACINGS if fraction < until)
 
     def update_occupancy(self) -> None:
-        """Ask the field where something is, and give up cells with an opacity under 0.004 over one final interval."""
+        """Ask the field where something is, and give up cells with an opacity under 0.01 over one final interval."""
         self.occupancy.update(self.density, UPDATE_CELLS, self.rng)
         if self.step >= WARM_UP:
-            self.occupancy.prune(0.004 / self.settings.spacing)
-        self.optical = self.occupancy.optical()
+            self.occupancy.prune(0.01 / self.settings.spacing)
+        self.occupied = self.occupancy.occupied
 
     def density(self, x: np.ndarray) -> np.ndarray:
         """Density [N] at field coordinates [N, 3], in chunks of one shape."""
@@ -204,36 +201,27 @@ class Trainer:
 
     def batch(self) -> tuple[dict[str, Any], int, int]:
         """A step's rays and packed samples, always of the same shapes; and how many of each are real."""
-        length = self.spacing()
         size = self.settings.samples
+        draw = int(min(size / self.samples_per_ray, MOST_RAYS - 1))
+        index = self.pool.draw(draw, self.rng)
+        origin, direction, near = self.pool.rays(index)
+        got = pack_samples(self.domain, self.occupied, origin, direction, self.spacing(), self.rng.random(draw), near)
+        self.samples_per_ray = 0.7 * self.samples_per_ray + 0.3 * max(len(got.ray), 1) / draw
+        # Whole rays only. None is cut short where the occupancy grid takes it to be opaque: such guesses end a few rays in
+        # front of surfaces, what shines through is made up for by more density there, and that feeds on itself.
+        count = len(got.ray) if len(got.ray) <= size else int(np.searchsorted(got.ray, got.ray[size]))
         points = np.zeros((size, 3), np.float32)
+        points[:count] = got.points[:count]
         ray = np.full(size, MOST_RAYS - 1, np.int32)
+        ray[:count] = got.ray[:count]
         directions = np.zeros((MOST_RAYS, 3), np.float32)
         directions[:, 2] = 1
+        directions[:draw] = direction
         target = np.zeros((MOST_RAYS, 4), np.uint8)
+        target[:draw] = self.pool.pixels[index]
         used = np.zeros(MOST_RAYS, bool)
-        count = rays = 0
-        for _ in range(4):  # tries: how many rays fill the step is only known from the last
-            draw = int(min((size - count) / self.samples_per_ray * 1.02 + 16, 2 * MOST_RAYS))
-            index = self.pool.draw(draw, self.rng)
-            origin, direction, near = self.pool.rays(index)
-            got = pack_samples(self.domain, self.optical, origin, direction, length, self.rng.random(draw), near, most=size - count)
-            change = np.diff(got.ray, prepend=-1) != 0
-            present, number = got.ray[change], np.cumsum(change) - 1
-            fit = min(len(present), MOST_RAYS - 1 - rays)
-            kept = int(np.searchsorted(number, fit))
-            rows = slice(rays, rays + fit)
-            points[count : count + kept] = got.points[:kept]
-            ray[count : count + kept] = rays + number[:kept]
-            directions[rows] = direction[present[:fit]]
-            target[rows] = self.pool.pixels[index[present[:fit]]]
-            used[rows] = True
-            count, rays = count + kept, rays + fit
-            drawn = int(got.ray[-1]) + 1 if len(got.ray) else draw  # rays past `most` were not looked at
-            self.samples_per_ray = 0.7 * self.samples_per_ray + 0.3 * max(len(got.ray), 1) / drawn
-            if count > 0.9 * size or rays >= MOST_RAYS - 1:
-                break
-        if not count and not self.optical.any():
+        used[ray[:count]] = True
+        if not count and not self.occupied.any():
             raise SnergError("The field has become empty everywhere; check that the images show something inside the box.")
         inputs = {
             "inputs": self._inputs(points),
@@ -242,9 +230,9 @@ class Trainer:
             "directions": directions,
             "target": target,
             "used": used,
-            "length": np.float32(length),
+            "length": np.float32(got.length),
         }
-        return inputs, count, rays
+        return inputs, count, int(used.sum())
 
     def field(self) -> Field:
         """The field as trained so far."""
@@ -254,7 +242,7 @@ class Trainer:
             params=jax.tree.map(np.asarray, self.params["field"]),
             network=None if view is None else ViewNetwork(*(np.asarray(a) for a in view)),
             domain=self.domain,
-            occupancy=self.occupancy.optical(),
+            occupancy=self.occupied,
             spacing=self.settings.spacing,
             cameras=self.dataset.cameras,
             dataset=str(self.dataset.root.resolve()),
@@ -272,28 +260,24 @@ class Trainer:
         """All that `restore` needs to go on where this trainer stands, as arrays."""
         leaves = jax.tree.leaves((self.params, self.moments))
         arrays = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-        arrays |= {"alive": self.occupancy.alive, "most": self.occupancy.most, "least": self.occupancy.least, "optical": self.optical}
-        arrays["clock"] = np.array([self.step, self.elapsed, self.drawn_from[1]], np.float64)
-        arrays["random"] = np.frombuffer(repr(self.drawn_from[0]).encode(), np.uint8)
+        arrays["most"] = self.occupancy.most
+        arrays["clock"] = np.array([self.step, self.elapsed, self.samples_per_ray], np.float64)
+        arrays["random"] = np.frombuffer(repr(self.rng.bit_generator.state).encode(), np.uint8)
         return arrays
 
     def restore(self, state: dict[str, np.ndarray], history: list[dict[str, float]]) -> None:
         """Go on from a `state`. Raises SnergError when it is another network's."""
         leaves, tree = jax.tree.flatten((self.params, self.moments))
         kept = [state.get(f"leaf_{i:03d}") for i in range(len(leaves))]
-        if (
-            any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True))
-            or state["alive"].shape != self.occupancy.alive.shape
-        ):
+        if any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True)):
             raise SnergError("The field to go on with has another network than these settings; train into a new folder.")
         self.params, self.moments = jax.tree.unflatten(tree, [jnp.asarray(k) for k in kept])
-        self.occupancy = Occupancy(state["alive"], state["most"].copy(), state["least"].copy())
-        self.optical = state["optical"]
+        self.occupancy = Occupancy(state["most"].copy())
+        self.occupied = self.occupancy.occupied
         self.step, self.elapsed, self.samples_per_ray = int(state["clock"][0]), float(state["clock"][1]), float(state["clock"][2])
         from ast import literal_eval
 
         self.rng.bit_generator.state = literal_eval(state["random"].tobytes().decode())
-        self.drawn_from = self.rng.bit_generator.state, self.samples_per_ray
         self.history = list(history)
 
 
@@ -390,5 +374,5 @@ def train(
             write_field(trainer.field(), folder, trainer.state())
         raise
     field = trainer.field()
-    write_field(field, folder, trainer.state())
+    write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field

@@ -107,7 +107,7 @@ def test_training_that_breaks_stops_with_a_sentence_and_the_last_good_state(view
         batch, samples, rays = draw()
         return {**batch, "directions": batch["directions"] * np.nan}, samples, rays
 
-    trainer.batch, trainer.next_batch = broken, None  # type: ignore[method-assign]
+    trainer.batch = broken  # type: ignore[method-assign]
     with pytest.raises(SnergError, match="not finite five times"):
         for _ in range(12):
             trainer.advance()
