@@ -20,7 +20,7 @@ import numpy as np
 
 from .capture.camera import Camera
 from .capture.dataset import Dataset, read_dataset
-from .capture.images import png_bytes, to_uint8
+from .capture.images import over_white, png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
 from .errors import SnergError
 from .export.bundle import viewer_files, write_bundle
@@ -244,15 +244,6 @@ def renderer_of(target: Path) -> tuple[str, Callable[[Camera, Progress], Frame]]
         tables_of(snerg)  # once a scene, not a view
         return "scene", lambda camera, progress: march(snerg, camera, MarchSettings(), progress)
     raise SnergError(f"{target} is a {kind}; give a field or a baked scene.")
-
-
-def over_white(image: np.ndarray) -> np.ndarray:
-    """uint8 [H, W, 3 or 4] with straight alpha to float32 [H, W, 3] over white, in display space (hard case 8)."""
-    colour = image[..., :3].astype(np.float32) / 255
-    if image.shape[-1] == 3:
-        return colour
-    alpha = image[..., 3:].astype(np.float32) / 255
-    return colour * alpha + (1 - alpha)
 
 
 def render_views(

@@ -23,7 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import snerg
 from snerg.core.capture.dataset import Dataset, read_dataset
-from snerg.core.capture.images import to_uint8, write_png
+from snerg.core.capture.images import over_white, to_uint8, write_png
 from snerg.core.cli import Terminal
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import write_reference
@@ -37,7 +37,7 @@ from snerg.core.grid.box import Box
 from snerg.core.grid.march import march
 from snerg.core.grid.refine import RefineSettings, refine
 from snerg.core.grid.snerg import Snerg
-from snerg.core.verbs import Score, folder_bytes, over_white
+from snerg.core.verbs import Score, folder_bytes
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated, render_dataset
 

@@ -7,10 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ..capture.camera import Camera
-from ..grid.march import Frame
-from ..grid.snerg import NETWORK_TRANSMITTANCE
+from ..grid.march import Composited, Frame, shade
 from .field import Field
-from .networks import view_residual
 from .sampling import CELLS, pack_samples
 from .volume import composite, optical_depth
 
@@ -22,7 +20,7 @@ def render_field(field: Field, camera: Camera, progress: Progress = lambda fract
     """Volume-render a camera's picture (eqs. 5 to 7) at the field's own sample spacing."""
     origins, directions = camera.rays()
     count = len(origins)
-    gathered, through, depth = np.zeros((count, 8), np.float32), np.ones(count, np.float32), np.full(count, np.inf, np.float32)
+    gathered, through = np.zeros((count, 8), np.float32), np.ones(count, np.float32)
     occupied = field.occupancy if field.occupancy is not None else np.ones(CELLS**3, bool)
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
@@ -33,14 +31,8 @@ def render_field(field: Field, camera: Camera, progress: Progress = lambda fract
         thickness = optical_depth(np, density, np.float32(field.spacing))
         gathered[rows], through[rows], _ = composite(np, thickness, values, samples.ray, len(x))
         progress(min(start + RAYS, count) / count, "Rendering the field")
-    alpha = 1 - through
-    seen = alpha > 0
-    depth[seen] = gathered[seen, 7] / alpha[seen] / field.domain.scale
-    colour = gathered[:, :3].copy()
-    if field.network is not None:
-        rows_seen = np.flatnonzero(through <= NETWORK_TRANSMITTANCE)
-        over_white = colour[rows_seen] + through[rows_seen, None]
-        towards = directions[rows_seen].astype(np.float32)
-        colour[rows_seen] += view_residual(np, field.network, over_white, gathered[rows_seen, 3:7], towards)
+    rays = Composited(gathered[:, :3], gathered[:, 3:7], through, gathered[:, 7] / np.float32(field.domain.scale))
+    colour, alpha = shade(field.network, rays, directions), 1 - through
+    depth = np.where(alpha > 0, rays.depth / np.maximum(alpha, 1e-6), np.inf).astype(np.float32)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..capture.camera import Camera
-from ..field.networks import view_residual
+from ..field.networks import ViewNetwork, view_residual
 from .box import CELL_VOXELS, DATA_VOXELS
 from .snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 
@@ -68,7 +68,7 @@ def march(
     """Render a baked scene from a camera. `progress` may raise Cancelled, which it does between batches."""
     origins, directions = camera.rays()
     composited = march_rays(snerg, origins, directions, settings, progress, near=max(snerg.near, camera.near))
-    colour = shade(snerg, composited, directions)
+    colour = shade(snerg.network, composited, directions @ snerg.view_rotation.T)
     alpha = 1 - composited.transmittance
     depth = np.where(alpha > 0, composited.depth / np.maximum(alpha, 1e-6), np.inf)
     shape = camera.height, camera.width
@@ -86,15 +86,17 @@ class Composited:
     depth: np.ndarray
 
 
-def shade(snerg: Snerg, rays: Composited, directions: np.ndarray) -> np.ndarray:
-    """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is."""
-    if snerg.network is None:
+def shade(network: ViewNetwork | None, rays: Composited, directions: np.ndarray) -> np.ndarray:
+    """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is.
+
+    directions: [N, 3] unit, in the axes in which the network was trained.
+    """
+    if network is None:
         return rays.colour
     colour = rays.colour.copy()
     seen = np.flatnonzero(rays.transmittance <= np.float32(NETWORK_TRANSMITTANCE))
     over_white = colour[seen] + rays.transmittance[seen, None]
-    towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
-    colour[seen] += view_residual(np, snerg.network, over_white, rays.features[seen], towards)
+    colour[seen] += view_residual(np, network, over_white, rays.features[seen], directions[seen].astype(np.float32))
     return colour
 
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..capture.dataset import Dataset
+from ..capture.images import over_white
 from ..errors import SnergError
 from ..field.networks import ViewNetwork, as_numpy, view_residual
 from .march import MarchSettings, march_rays
@@ -95,12 +96,6 @@ def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: P
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = rng.permutation(len(columns[0]))[: settings.pixels]
     return Gathered(*(column[order] for column in columns))
-
-
-def over_white(pixels: np.ndarray) -> np.ndarray:
-    """uint8 [N, 3 or 4] to float32 [N, 3]."""
-    value = pixels.astype(np.float32) / 255
-    return value[:, :3] if value.shape[-1] == 3 else value[:, :3] * value[:, 3:] + 1 - value[:, 3:]
 
 
 def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:

@@ -12,7 +12,7 @@ from flax_checkpoint import networks, tree, write
 from scenes import make_cameras, make_snerg
 from snerg.core import verbs
 from snerg.core.capture.dataset import read_dataset
-from snerg.core.capture.images import read_image, to_uint8
+from snerg.core.capture.images import over_white, read_image, to_uint8
 from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.reference import write_reference
@@ -108,7 +108,7 @@ def test_a_dataset_is_described(dataset):
 @pytest.mark.hard_case(8)
 def test_images_are_put_over_white_in_display_space():
     image = np.uint8([[[0, 0, 0, 128], [255, 0, 0, 255], [9, 9, 9, 0]]])
-    assert np.allclose(verbs.over_white(image), [[[127 / 255] * 3, [1, 0, 0], [1, 1, 1]]], atol=1e-6)
+    assert np.allclose(over_white(image), [[[127 / 255] * 3, [1, 0, 0], [1, 1, 1]]], atol=1e-6)
 
 
 def test_importing_a_checkpoint_gives_a_field_that_equals_it(tmp_path, checkpoint):
@@ -163,7 +163,7 @@ def test_rendering_views(tmp_path, scene, size, shape):
     assert picture.shape == (height, width, 4)
     expected = march(read_scene(scene), cameras[1].resized(width, height))
     assert np.array_equal(picture, to_uint8(expected.straight()))
-    assert np.abs(verbs.over_white(picture) - expected.over()).max() < 2.5 / 255
+    assert np.abs(over_white(picture) - expected.over()).max() < 2.5 / 255
 
 
 def test_names_of_pictures():
