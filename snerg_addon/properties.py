@@ -152,7 +152,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
             ("SELECTED", "Selected", "The selected cameras"),
             ("ALL", "All", "Every camera of the scene"),
         ],
-        default="ACTIVE",
+        default="ALL",
     )
     single_file: BoolProperty(
         name="One File",
