@@ -75,7 +75,8 @@ def read_field_and_state(path: Path) -> tuple[Field, dict[str, np.ndarray]]:
     try:
         if file.stat().st_size > MAX_BYTES:
             raise SnergError(f"{file} is larger than {MAX_BYTES >> 30} GiB; it cannot be a field.")
-        with np.load(file, allow_pickle=False) as archive:
+        # Opened here, because NumPy leaves a file that it cannot read open.
+        with open(file, "rb") as handle, np.load(handle, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         about = json.loads(arrays.pop("json").tobytes())
         if about["format"] != FORMAT or about["version"] != VERSION:
