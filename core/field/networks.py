@@ -141,4 +141,4 @@ def bounded_exp(xnp: Any, x: Any) -> Any:
         return value
     from jax.lax import stop_gradient
 
-    return stop_gradient(value) * (1 + x - stop_gradient(x))
+    return stop_gradient(value) * (1 + (x - stop_gradient(x)))
