@@ -298,8 +298,8 @@ def train_step(
     def update(path: Any, p: Any, g: Any, m: Any, v: Any) -> tuple[Any, Any, Any]:
         table = "table" in jax.tree_util.keystr(path)
         # A vertex that no sample of this step touched rests: were its moments to decay, one sample in ten steps would
-        # move it ten times as far as a sample in each does. And what hardly any light reaches counts as untouched:
-        # Adam would make full steps of gradients of 1e-14 and inflate every opaque surface until training collapses.
+        # move it ten times as far as a sample in each does. What hardly any light reaches counts as untouched, because
+        # Adam makes full steps even of gradients of 1e-14.
         changes = finite & (jnp.abs(g) > NOTHING) if table else finite
         m2, v2 = b1 * m + (1 - b1) * g, b2 * v + (1 - b2) * g * g
         p2 = p - rate * (1.0 if table else settings.network_rate) * unbias * m2 / (jnp.sqrt(v2) + NOTHING)
