@@ -69,7 +69,8 @@ def train_field(
     """
     check_out(out, "field", dataset)
     with needs_jax():
-        from .field.train import PRESETS, train
+        from .field.settings import PRESETS
+        from .field.train import train
     if preset not in PRESETS:
         raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
     settings = replace(PRESETS[preset], seed=seed)

@@ -30,7 +30,8 @@ from snerg.core.export.reference import write_reference
 from snerg.core.export.scene import write_scene
 from snerg.core.field.field import Field
 from snerg.core.field.render import render_field
-from snerg.core.field.train import PRESETS, train
+from snerg.core.field.settings import PRESETS
+from snerg.core.field.train import train
 from snerg.core.files import json_bytes, write_bytes
 from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.grid.box import Box

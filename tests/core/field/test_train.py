@@ -12,8 +12,10 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.field.checkpoint import read_field, read_field_and_state, write_field
 from snerg.core.field.encoding import HashGrid
 from snerg.core.field.networks import HashFamily, MlpFamily, init_field
+from snerg.core.field.packed import Batch
 from snerg.core.field.render import render_field
-from snerg.core.field.train import Trainer, TrainSettings, train
+from snerg.core.field.settings import TrainSettings
+from snerg.core.field.train import Trainer, train
 from snerg.core.study.metrics import psnr
 
 FAMILY = HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
@@ -88,7 +90,7 @@ def test_a_step_that_is_not_finite_changes_nothing(views):
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
     before = jax.tree.map(np.asarray, (trainer.params, trainer.moments))
-    batch = dict(trainer.batch()[0])
+    batch = dict(trainer.scheme.batch(0.0).arrays)
     batch["directions"] = np.full_like(batch["directions"], np.nan)
     params, moments, (_, _, finite) = trainer._step(*jax.tree.map(jnp.asarray, before), batch, 1e-2, 5)
     assert not finite
@@ -101,13 +103,13 @@ def test_training_that_breaks_stops_with_a_sentence_and_the_last_good_state(view
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
     good = jax.tree.map(np.asarray, trainer.params)
-    draw = trainer.batch
+    draw = trainer.scheme.batch
 
-    def broken() -> tuple:
-        batch, samples, rays = draw()
-        return {**batch, "directions": batch["directions"] * np.nan}, samples, rays
+    def broken(fraction: float) -> Batch:
+        batch = draw(fraction)
+        return replace(batch, arrays={**batch.arrays, "directions": batch.arrays["directions"] * np.nan})
 
-    trainer.batch = broken  # type: ignore[method-assign]
+    trainer.scheme.batch = broken  # type: ignore[method-assign]
     with pytest.raises(SnergError, match="not finite five times"):
         for _ in range(12):
             trainer.advance()
