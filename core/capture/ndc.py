@@ -16,7 +16,8 @@ from ..errors import SnergError
 from .camera import rigid
 
 PARALLEL = 1e-6  # rays whose direction has less of the axis than this never reach the depths that NDC are about
-NEAREST = 1e-9  # smallest z / near, and smallest 1 - z' , that are told from 0
+NEAREST = 1e-9  # smallest z / near, and smallest 1 - z', that are told from 0
+BEYOND = np.array([0.0, 0.0, 2.0])  # where rays begin that miss: past infinity, on their way out
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +71,12 @@ class Ndc:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """See `space_rays`."""
         start, toward, alive = self._starts(origins, directions, near)
-        point = self._device(start[:, :2], start[:, 2])
+        point = np.where(alive[:, None], self._device(start[:, :2], start[:, 2]), BEYOND)
         # The derivative of the device coordinates along the ray, times a positive number that leaves no division.
         along = toward[:, 2:] * point[:, :2] + np.array(self.focal) * toward[:, :2]
         direction = np.concatenate([along, -toward[:, 2:] * (1 - point[:, 2:])], axis=-1)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        direction = np.where(alive[:, None], direction, [0.0, 0.0, 1.0])
         far = np.where(alive, (1 - point[:, 2]) / direction[:, 2], 0)
         return point, direction, np.zeros(len(point)), far
 
@@ -84,10 +86,9 @@ class Ndc:
         Finite: infinity comes out as in `to_world`. Rays that miss give their own `near`.
         """
         point, direction, _, _ = self.rays(origins, directions, near)
-        start, toward, alive = self._starts(origins, directions, near)
-        begin = np.where(alive, _dot(start - self._local(origins), toward), near)
-        step = (self._depth(point[:, 2] + along * direction[:, 2]) - start[:, 2]) / toward[:, 2]
-        return begin + np.where(alive, step, 0)
+        _, toward, alive = self._starts(origins, directions, near)
+        z = self._depth(point[:, 2] + along * direction[:, 2])
+        return np.where(alive, (z - self._local(origins)[:, 2]) / toward[:, 2], near)
 
     def _local(self, points: np.ndarray) -> np.ndarray:
         return (np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3]
@@ -112,10 +113,6 @@ class Ndc:
         return np.where(alive[:, None], start, [0.0, 0.0, -self.near]), toward, alive
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return (a * b).sum(axis=-1)
-
-
 def space_rays(
     ndc: Ndc | None, origins: np.ndarray, directions: np.ndarray, near: np.ndarray | float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -123,7 +120,8 @@ def space_rays(
 
     Without NDC they stay as they are, far is infinite. With NDC they begin at the near plane, or at `near` where that is
     further, so that near is 0; far is where they reach infinity, z' = 1. Rays that run parallel to the near plane or away from
-    it are misses: far = near (hard case 9). All finite, float64.
+    it are misses (hard case 9): far = near, and they begin outside every box that ends at z' = 1 or little after it, on their
+    way out, so that they meet none. All finite, float64.
     """
     if ndc is not None:
         return ndc.rays(origins, directions, near)

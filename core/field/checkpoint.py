@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..files import MARK, json_bytes, write_bytes
 from .encoding import HashGrid
@@ -22,7 +23,7 @@ from .sampling import Domain
 
 FILE = "field.npz"
 FORMAT = "snerg-field"
-VERSION = 1
+VERSION = 2
 MAX_BYTES = 2**31
 
 
@@ -45,6 +46,7 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
         "family": {"kind": type(field.family).__name__, **asdict(field.family)},
         "scale": field.domain.scale,
         "spacing": field.spacing,
+        "ndc": None if field.ndc is None else field.ndc.to_json(),
         "dataset": field.dataset,
         "cameras": [[c.projection, c.name] for c in field.cameras],
         "about": field.about,
@@ -100,6 +102,7 @@ def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
         cameras=tuple(row_camera(row, *names) for row, names in zip(rows, about["cameras"], strict=True)),
         dataset=str(about["dataset"]),
         about=dict(about["about"]),
+        ndc=None if about["ndc"] is None else Ndc.from_json(about["ndc"]),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from .networks import Family, ViewNetwork, field_inputs, field_outputs
 from .sampling import Domain, cell_index
@@ -22,7 +23,8 @@ class Field:
     """The deferred NeRF (section 4.2).
 
     family: what the network is; params: its arrays, NumPy; network: the view-dependence network, None when diffuse.
-    domain: the field's coordinates in the world. occupancy: bool [128^3] (see Occupancy), or None where
+    ndc: what its space is: the world where None, else the world in these device coordinates.
+    domain: the field's coordinates in that space. occupancy: bool [128^3] (see Occupancy), or None where
     anything may be anywhere. spacing: distance between samples, field coordinates. cameras: those it was trained from.
     dataset: the folder it was trained from, '' when imported. about: history and settings, JSON values.
     """
@@ -36,6 +38,7 @@ class Field:
     cameras: tuple[Camera, ...] = ()
     dataset: str = ""
     about: dict[str, Any] = field(default_factory=dict)
+    ndc: Ndc | None = None
 
     @cached_property
     def _compiled(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
@@ -47,30 +50,26 @@ class Field:
         return lambda x: outputs(params, inputs(x))
 
     def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Field coordinates [N, 3] float32 to (density [N] per unit of them, RGB and features [N, 7]); no mask (JAX)."""
-        density = np.empty(len(x), np.float32)
-        values = np.empty((len(x), 7), np.float32)
-        for start in range(0, len(x), CHUNK):
-            part = x[start : start + CHUNK]
-            padded = np.zeros((CHUNK, 3), np.float32)
-            padded[: len(part)] = part
-            got = self._compiled(padded)
-            density[start : start + len(part)] = np.asarray(got[0])[: len(part)]
-            values[start : start + len(part)] = np.asarray(got[1])[: len(part)]
+        """Field coordinates [N, 3] float32 to (density [N] per unit of them, RGB and features [N, 7]); no mask (JAX).
+
+        A diffuse field may have no features: [N, 3].
+        """
+        density, values = in_chunks(self._compiled, x)
         if not np.isfinite(density).all():
             raise SnergError("The field gives densities that are not finite; train it again, or import an undamaged checkpoint.")
         return density, values
 
     def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """World points [N, 3] to density [N] per world unit, RGB [N, 3], features [N, 4] (JAX).
+        """Points [N, 3] of the field's space to density [N] per unit of it, RGB [N, 3], features [N, 4] or [N, 0] (JAX).
 
         Outside what training saw the field is garbage, so there density is 0.
         """
         x = self.domain.from_world(points)
         kept = np.flatnonzero(self.holds(x))
+        found, known = self.evaluate(x[kept])
         density = np.zeros(len(points), np.float32)
-        values = np.zeros((len(points), 7), np.float32)
-        density[kept], values[kept] = self.evaluate(x[kept])
+        values = np.zeros((len(points), known.shape[-1]), np.float32)
+        density[kept], values[kept] = found, known
         return density * np.float32(self.domain.scale), values[:, :3], values[:, 3:]
 
     def holds(self, x: np.ndarray) -> np.ndarray:
@@ -79,3 +78,17 @@ class Field:
         if self.occupancy is not None:
             inside &= self.occupancy[cell_index(x)]
         return inside
+
+
+def in_chunks(function: Callable[[np.ndarray], Sequence[Any]], x: np.ndarray, size: int = CHUNK) -> tuple[np.ndarray, ...]:
+    """What a function of points [size, 3] gives for [N, 3], a chunk at a time, the last padded with zeros: one compiled shape.
+
+    function: to arrays whose first axis is the points', however many; they come back as NumPy arrays [N, ...].
+    """
+    parts = []
+    for start in range(0, max(len(x), 1), size):  # once for no points too, so that there are shapes
+        part = x[start : start + size]
+        padded = np.zeros((size, x.shape[-1]), np.float32)
+        padded[: len(part)] = part
+        parts.append([np.asarray(got)[: len(part)] for got in function(padded)])
+    return tuple(column[0] if len(column) == 1 else np.concatenate(column) for column in zip(*parts, strict=True))

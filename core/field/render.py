@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import space_rays, world_distance
 from ..grid.march import Composited, Frame, shade
 from .field import Field
 from .sampling import CELLS, pack_samples
@@ -19,20 +20,23 @@ RAYS = 8192
 def render_field(field: Field, camera: Camera, progress: Progress = lambda fraction, what: None) -> Frame:
     """Volume-render a camera's picture (eqs. 5 to 7) at the field's own sample spacing."""
     origins, directions = camera.rays()
-    count = len(origins)
-    gathered, through = np.zeros((count, 8), np.float32), np.ones(count, np.float32)
+    domain, count = field.domain, len(origins)
+    o, d, near, _ = space_rays(field.ndc, origins, directions, camera.near)
     occupied = field.occupancy if field.occupancy is not None else np.ones(CELLS**3, bool)
+    parts = []
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
-        x, towards = (origins[rows] - field.domain.centre) * field.domain.scale, directions[rows]
-        samples = pack_samples(field.domain, occupied, x, towards, field.spacing, np.full(len(x), 0.5), camera.near * field.domain.scale)
+        x, size = (o[rows] - domain.centre) * domain.scale, len(o[rows])
+        samples = pack_samples(domain, occupied, x, d[rows], field.spacing, np.full(size, 0.5), near[rows] * domain.scale)
         density, values = field.evaluate(samples.points)
         values = np.concatenate([values, samples.distance[:, None]], axis=-1)
         thickness = optical_depth(np, density, np.float32(field.spacing))
-        gathered[rows], through[rows], _ = composite(np, thickness, values, samples.ray, len(x))
+        parts.append(composite(np, thickness, values, samples.ray, size)[:2])
         progress(min(start + RAYS, count) / count, "Rendering the field")
-    rays = Composited(gathered[:, :3], gathered[:, 3:7], through, gathered[:, 7] / np.float32(field.domain.scale))
+    gathered, through = (np.concatenate(part) for part in zip(*parts, strict=True))
+    rays = Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1] / np.float32(domain.scale))
     colour, alpha = shade(field.network, rays, directions), 1 - through
-    depth = np.where(alpha > 0, rays.depth / np.maximum(alpha, 1e-6), np.inf).astype(np.float32)
+    depth = world_distance(field.ndc, origins, directions, rays.depth / np.maximum(alpha, 1e-6), camera.near)
+    depth = np.where(alpha > 0, depth, np.inf).astype(np.float32)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))

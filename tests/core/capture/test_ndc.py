@@ -75,6 +75,7 @@ def test_rays_that_see_nothing_of_it_are_misses_and_all_is_finite():
             t = world_distance(FRAME, origins, toward, far)
         assert np.isfinite(np.concatenate([o, d], axis=-1)).all() and (far <= near).all() and np.isfinite(t).all()
         assert np.allclose(np.linalg.norm(d, axis=-1), 1)
+        assert (o[:, 2] > 1.5).all() and (d[:, 2] > 0).all(), "they meet no box, even where nobody looks at far"
 
 
 @pytest.mark.hard_case(9)
