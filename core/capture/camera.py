@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import SnergError
+from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole or parallel camera.
+    """A pinhole or parallel camera, the pinhole with a lens if it has one.
 
     width, height: pixels.
     focal: (x, y) in pixels; for an orthographic camera, pixels per world unit.
@@ -26,6 +28,7 @@ class Camera:
     camera_to_world: [4, 4] float64, rigid (see `rigid`).
     projection: 'perspective' or 'orthographic'.
     near: distance along the ray, in world units, before which nothing is seen.
+    distortion: of the lens, None for an ideal one.
     """
 
     width: int
@@ -36,6 +39,7 @@ class Camera:
     projection: str = "perspective"
     name: str = ""
     near: float = 0.0
+    distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -46,6 +50,8 @@ class Camera:
             raise SnergError(f"Camera {self.name!r} has a focal length of {self.focal} pixels; it must be finite and above 0.")
         if not np.isfinite(self.centre).all():
             raise SnergError(f"Camera {self.name!r} has a principal point of {self.centre}; it must be finite.")
+        if self.distortion is not None and self.projection != "perspective":
+            raise SnergError(f"Camera {self.name!r} is {self.projection} and has a lens; only perspective cameras have one.")
         object.__setattr__(self, "camera_to_world", rigid(self.camera_to_world, f"Camera {self.name!r}"))
 
     @property
@@ -69,11 +75,11 @@ class Camera:
 
         pixels: [N, 2] (column, row) integers; all pixels, row by row, when None. Returns ([N, 3], [N, 3]).
         """
-        if pixels is None:
-            rows, columns = np.mgrid[0 : self.height, 0 : self.width]
-            pixels = np.stack([columns.ravel(), rows.ravel()], axis=-1)
-        x = (pixels[:, 0] + 0.5 - self.centre[0]) / self.focal[0]
-        y = -(pixels[:, 1] + 0.5 - self.centre[1]) / self.focal[1]
+        pixels = self.pixels() if pixels is None else pixels
+        flat = self._normalised(pixels)
+        if self.distortion is not None:
+            flat = self.distortion.undistort(flat)
+        x, y = flat[:, 0], -flat[:, 1]
         rotation, position = self.camera_to_world[:3, :3], self.position
         if self.projection == "orthographic":
             origins = position + np.stack([x, y, np.zeros_like(x)], axis=-1) @ rotation.T
@@ -82,18 +88,64 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(position, directions.shape).copy(), directions
 
+    def pixels(self) -> np.ndarray:
+        """[H * W, 2] (column, row) of every pixel, row by row."""
+        rows, columns = np.mgrid[0 : self.height, 0 : self.width]
+        return np.stack([columns.ravel(), rows.ravel()], axis=-1)
+
+    def sees(self) -> np.ndarray | None:
+        """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
+        if self.distortion is None:
+            return None
+        seen = self.distortion.sees(self._normalised(self.pixels())).reshape(self.height, self.width)
+        return None if seen.all() else seen
+
+    def _normalised(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""
+        return (pixels + 0.5 - np.array(self.centre)) / np.array(self.focal)
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
         scale = np.ones_like(depth) if self.projection == "orthographic" else 1 / np.where(depth == 0, np.inf, depth)
-        return np.stack(
-            [
-                self.centre[0] + self.focal[0] * local[:, 0] * scale,
-                self.centre[1] - self.focal[1] * local[:, 1] * scale,
-            ],
-            axis=-1,
-        ), depth
+        flat = local[:, :2] * [1, -1] * scale[:, None]
+        if self.distortion is not None:
+            flat = self.distortion.distort(flat)
+        return np.array(self.centre) + np.array(self.focal) * flat, depth
+
+    def to_json(self) -> dict[str, Any]:
+        """All of the camera as JSON values, for `from_json`."""
+        return {
+            "name": self.name,
+            "projection": self.projection,
+            "width": self.width,
+            "height": self.height,
+            "focal": [float(f) for f in self.focal],
+            "centre": [float(c) for c in self.centre],
+            "near": float(self.near),
+            "camera_to_world": self.camera_to_world.tolist(),
+            **({"distortion": self.distortion.to_json()} if self.distortion is not None else {}),
+        }
+
+    @classmethod
+    def from_json(cls, value: Any) -> Camera:
+        """Undo `to_json`. Raises SnergError on anything else."""
+        try:
+            focal, centre = value["focal"], value["centre"]
+            return cls(
+                width=int(value["width"]),
+                height=int(value["height"]),
+                focal=(float(focal[0]), float(focal[1])),
+                centre=(float(centre[0]), float(centre[1])),
+                camera_to_world=np.array(value["camera_to_world"], np.float64),
+                projection=str(value["projection"]),
+                name=str(value["name"]),
+                near=float(value["near"]),
+                distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
+            )
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
+            raise SnergError(f"A camera is incomplete or damaged ({type(error).__name__}: {error}); write the file again.") from error
 
 
 def focal_from_angle(angle: float, pixels: int, where: str) -> float:

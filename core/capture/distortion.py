@@ -1,0 +1,211 @@
+"""What a lens does to a picture: the models of OpenCV, which COLMAP, instant-ngp and nerfstudio use too.
+
+Normalised image coordinates are OpenCV's: x to the right, y down, both divided by depth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import SnergError
+
+MODELS = {"opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
+WIDEST = 89.9  # degrees from the axis: beyond, x / depth tells nothing
+TABLE = 1024  # first guesses along the radius
+REACH = 4.0  # radius in the distorted picture that the table spans at most
+ROUNDS = 12  # of Newton's method at most; two or three are enough away from where a lens folds
+ENOUGH = 1e-12  # error of the distorted coordinates at which Newton's method ends
+CHUNK = 2**16  # points undistorted at a time, so that a whole picture needs little memory
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """A lens.
+
+    model 'opencv': coefficients k1, k2, p1, p2, k3, k4, k5, k6; radial (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 +
+    k6 r^6) and tangential. model 'fisheye': k1..k4 of theta (1 + k1 theta^2 + ...). Fewer coefficients are filled up with 0.
+
+    A polynomial that was fitted inside a picture may fold over outside it: from some radius on, what is further out lands
+    further in. From there (`limit`) on the lens is continued straight instead, so that every pixel has one finite ray, and
+    what lies outside lands outside; `sees` tells such pixels.
+    Raises SnergError on another model, too many coefficients, or one that is not finite.
+    """
+
+    model: str
+    coefficients: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.model not in MODELS:
+            raise SnergError(f"The lens model {self.model!r} is not known; undistort the images first, or use one of {', '.join(MODELS)}.")
+        most = len(MODELS[self.model])
+        values = tuple(float(c) for c in self.coefficients)
+        if len(values) > most or not all(math.isfinite(v) for v in values):
+            raise SnergError(f"The lens has the coefficients {values}; model {self.model!r} takes at most {most} finite numbers.")
+        object.__setattr__(self, "coefficients", values + (0.0,) * (most - len(values)))
+
+    def distort(self, xy: np.ndarray) -> np.ndarray:
+        """Where points [N, 2] of an ideal picture land in this lens's, [N, 2] float64."""
+        return self._alone.distort(np.zeros(len(xy), np.int64), xy)
+
+    def undistort(self, xy: np.ndarray) -> np.ndarray:
+        """Undo `distort`, [N, 2] float64, always finite."""
+        return self._alone.undistort(np.zeros(len(xy), np.int64), xy)
+
+    def sees(self, xy: np.ndarray) -> np.ndarray:
+        """Which points [N, 2] of this lens's picture the model says something about, bool [N]: not past the fold, less than
+        90 degrees from the axis."""
+        return np.linalg.norm(self.undistort(xy), axis=-1) < self._alone.limit[0] * (1 - 1e-9)
+
+    def to_json(self) -> dict[str, Any]:
+        """{"model", "coefficients"}"""
+        return {"model": self.model, "coefficients": list(self.coefficients)}
+
+    @classmethod
+    def from_json(cls, value: Any) -> Distortion:
+        """Undo `to_json`. Raises SnergError on anything else."""
+        try:
+            return cls(str(value["model"]), tuple(float(c) for c in value["coefficients"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise SnergError(f"A lens is not a model with coefficients ({error}).") from error
+
+    @cached_property
+    def _alone(self) -> Lenses:
+        return Lenses([self])
+
+
+class Lenses:
+    """Several lenses at once, for rays of many cameras. Coefficients are looked up a point."""
+
+    def __init__(self, lenses: Sequence[Distortion]) -> None:
+        self.fisheye = np.array([lens.model == "fisheye" for lens in lenses])
+        self.coefficients = np.array([lens.coefficients + (0.0,) * (8 - len(lens.coefficients)) for lens in lenses])
+        self.limit = np.array([_limit(lens) for lens in lenses])  # [L] radius in the ideal picture
+        edge = np.stack([self.limit, np.zeros_like(self.limit)], axis=-1)
+        self.edge = np.linalg.norm(self._radial(np.arange(len(lenses)), edge)[0], axis=-1)  # [L] the same in the lens's
+        self.reach = np.minimum(self.edge, REACH)
+        self.table = np.stack([self._inverse(i) for i in range(len(lenses))])
+
+    def distort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        """As Distortion.distort, of point i by lens `lens[i]`."""
+        xy = np.asarray(xy, np.float64)
+        radius = np.hypot(xy[:, 0], xy[:, 1])
+        beyond = np.maximum(radius - self.limit[lens], 0)
+        safe = np.maximum(radius, 1e-300)[:, None]
+        held = xy * np.where(beyond > 0, self.limit[lens] / safe[:, 0], 1)[:, None]
+        return self._bent(lens, held)[0] + xy / safe * beyond[:, None]
+
+    def undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        """As Distortion.undistort, of point i by lens `lens[i]`."""
+        xy = np.asarray(xy, np.float64)
+        if len(xy) <= CHUNK:
+            return self._undistort(lens, xy)
+        result = np.empty(xy.shape)
+        for start in range(0, len(xy), CHUNK):
+            part = slice(start, start + CHUNK)
+            result[part] = self._undistort(lens[part], xy[part])
+        return result
+
+    def _undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+        radius = np.maximum(np.hypot(xy[:, 0], xy[:, 1]), 1e-300)
+        guess = xy * (self._guess(lens, radius) / radius)[:, None]
+        limit = self.limit[lens]
+        for _ in range(ROUNDS):
+            landed, (xx, xy_, yx, yy) = self._bent(lens, guess)
+            error = xy - landed
+            if not np.abs(error).max(initial=0) > ENOUGH:
+                break
+            det = xx * yy - xy_ * yx
+            det = np.where(np.abs(det) < 1e-9, np.inf, det)  # on the fold itself: stay
+            guess = guess + np.stack([yy * error[:, 0] - xy_ * error[:, 1], xx * error[:, 1] - yx * error[:, 0]], axis=-1) / det[:, None]
+            long = np.hypot(guess[:, 0], guess[:, 1])
+            guess = guess * np.where(long > limit, limit / np.maximum(long, 1e-300), 1)[:, None]
+        # What no point inside the limit lands on lies past it, where the lens goes on straight.
+        gone = np.abs(error).max(axis=-1) > 1e-6
+        past = limit + np.maximum(radius - self.edge[lens], 0)
+        return np.where(gone[:, None], xy * (past / radius)[:, None], guess)
+
+    def _guess(self, lens: np.ndarray, radius: np.ndarray) -> np.ndarray:
+        place = np.minimum(radius / self.reach[lens], 1) * (TABLE - 1)
+        before = np.minimum(place.astype(np.int64), TABLE - 2)
+        low, high = self.table[lens, before], self.table[lens, before + 1]
+        return low + (high - low) * (place - before)
+
+    def _inverse(self, index: int) -> np.ndarray:
+        """Ideal radius [TABLE] at even steps of the distorted radius up to `reach`, from the radial part alone."""
+        ideal = np.tan(np.linspace(0, math.atan(self.limit[index]), 4 * TABLE))
+        ideal[-1] = self.limit[index]
+        points = np.stack([ideal, np.zeros_like(ideal)], axis=-1)
+        landed = self._radial(np.full(len(points), index), points)[0][:, 0]
+        return np.interp(np.linspace(0, self.reach[index], TABLE), landed, ideal)
+
+    def _bent(self, lens: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """Where points land, and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy, each [N]."""
+        landed, (xx, mixed, yy) = self._radial(lens, xy)
+        p1, p2 = (np.where(self.fisheye, 0, self.coefficients[:, i])[lens] for i in (2, 3))
+        if not (p1.any() or p2.any()):
+            return landed, (xx, mixed, mixed, yy)
+        x, y = xy[:, 0], xy[:, 1]
+        square = x * x + y * y
+        aside = np.stack([2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y], axis=-1)
+        across = 2 * (p1 * x + p2 * y)
+        return landed + aside, (xx + 2 * p1 * y + 6 * p2 * x, mixed + across, mixed + across, yy + 6 * p1 * y + 2 * p2 * x)
+
+    def _radial(self, lens: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The radial part s xy of both models, and its derivatives s + s' x^2, s' xy, s + s' y^2, where s' = (ds/dr) / r."""
+        square = (xy * xy).sum(axis=-1)
+        scale, slope = self._rational(lens, square)
+        if self.fisheye.any():
+            wide = self.fisheye[lens]
+            bent = self._spherical(lens, square)
+            scale, slope = np.where(wide, bent[0], scale), np.where(wide, bent[1], slope)
+        x, y = xy[:, 0], xy[:, 1]
+        return xy * scale[:, None], (scale + slope * x * x, slope * x * y, scale + slope * y * y)
+
+    def _rational(self, lens: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Scale and (d scale / dr) / r of OpenCV's rational model at squared radii s [N]."""
+        k1, k2, _, _, k3, k4, k5, k6 = self.coefficients[lens].T
+        top, below = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
+        d_top, d_below = k1 + s * (2 * k2 + s * 3 * k3), k4 + s * (2 * k5 + s * 3 * k6)
+        below = np.where(np.abs(below) < 1e-12, 1e-12, below)
+        return top / below, 2 * (d_top * below - top * d_below) / (below * below)
+
+    def _spherical(self, lens: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same for the fisheye model (Kannala and Brandt 2006): scale = theta_d / r, with r = tan theta."""
+        k1, k2, k3, k4 = self.coefficients[lens, :4].T
+        r = np.sqrt(np.maximum(s, 1e-12))
+        theta = np.arctan(r)
+        t = theta * theta
+        bent = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4))))
+        turn = (1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))) / (1 + r * r)
+        return bent / r, (turn - bent / r) / (r * r)
+
+
+def _limit(lens: Distortion) -> float:
+    """The radius in the ideal picture up to which the distorted radius rises: the first zero of its derivative, at most that
+    of WIDEST."""
+    k = lens.coefficients
+    widest = math.tan(math.radians(WIDEST))
+    if lens.model == "fisheye":
+        rising = np.polynomial.Polynomial([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])  # in theta squared
+        first = _first_zero(rising)
+        return min(math.tan(math.sqrt(first)), widest) if first < (math.pi / 2) ** 2 else widest
+    top, below = np.polynomial.Polynomial([1, k[0], k[1], k[4]]), np.polynomial.Polynomial([1, *k[5:]])
+    s = np.polynomial.Polynomial([0, 1])
+    first = min(_first_zero(top * below + 2 * s * (top.deriv() * below - top * below.deriv())), _first_zero(below))
+    return min(math.sqrt(first), widest)
+
+
+def _first_zero(polynomial: np.polynomial.Polynomial) -> float:
+    """The smallest positive real zero, infinite where there is none."""
+    coefficients = np.trim_zeros(polynomial.coef, "b")
+    if len(coefficients) < 2:
+        return math.inf
+    zeros = np.polynomial.Polynomial(coefficients).roots()
+    real = zeros[np.abs(zeros.imag) < 1e-9 * np.maximum(np.abs(zeros), 1e-3)].real
+    return float(real[real > 0].min(initial=math.inf))
