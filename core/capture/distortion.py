@@ -20,7 +20,7 @@ WIDEST = 89.9  # degrees from the axis: beyond, x / depth tells nothing
 TABLE = 1024  # first guesses along the radius
 REACH = 4.0  # radius in the distorted picture that the table spans at most
 ROUNDS = 12  # of Newton's method at most; two or three are enough away from where a lens folds
-ENOUGH = 1e-12  # error of the distorted coordinates at which Newton's method ends
+ENOUGH = 1e-11  # error of the distorted coordinates at which Newton's method ends
 CHUNK = 2**16  # points undistorted at a time, so that a whole picture needs little memory
 
 
@@ -85,9 +85,10 @@ class Lenses:
     def __init__(self, lenses: Sequence[Distortion]) -> None:
         self.fisheye = np.array([lens.model == "fisheye" for lens in lenses])
         self.coefficients = np.array([lens.coefficients + (0.0,) * (8 - len(lens.coefficients)) for lens in lenses])
+        self.rational, self.tangential = bool(self.coefficients[:, 5:].any()), bool(self.coefficients[~self.fisheye, 2:4].any())
         self.limit = np.array([_limit(lens) for lens in lenses])  # [L] radius in the ideal picture
         edge = np.stack([self.limit, np.zeros_like(self.limit)], axis=-1)
-        self.edge = np.linalg.norm(self._radial(np.arange(len(lenses)), edge)[0], axis=-1)  # [L] the same in the lens's
+        self.edge = np.linalg.norm(self._radial(self._of(np.arange(len(lenses))), edge)[0], axis=-1)  # [L] the same in the lens's
         self.reach = np.minimum(self.edge, REACH)
         self.table = np.stack([self._inverse(i) for i in range(len(lenses))])
 
@@ -98,7 +99,7 @@ class Lenses:
         beyond = np.maximum(radius - self.limit[lens], 0)
         safe = np.maximum(radius, 1e-300)[:, None]
         held = xy * np.where(beyond > 0, self.limit[lens] / safe[:, 0], 1)[:, None]
-        return self._bent(lens, held)[0] + xy / safe * beyond[:, None]
+        return self._bent(self._of(lens), held)[0] + xy / safe * beyond[:, None]
 
     def undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
         """As Distortion.undistort, of point i by lens `lens[i]`."""
@@ -114,9 +115,9 @@ class Lenses:
     def _undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
         radius = np.maximum(np.hypot(xy[:, 0], xy[:, 1]), 1e-300)
         guess = xy * (self._guess(lens, radius) / radius)[:, None]
-        limit = self.limit[lens]
+        limit, of = self.limit[lens], self._of(lens)
         for _ in range(ROUNDS):
-            landed, (xx, xy_, yx, yy) = self._bent(lens, guess)
+            landed, (xx, xy_, yx, yy) = self._bent(of, guess)
             error = xy - landed
             if not np.abs(error).max(initial=0) > ENOUGH:
                 break
@@ -141,49 +142,63 @@ class Lenses:
         ideal = np.tan(np.linspace(0, math.atan(self.limit[index]), 4 * TABLE))
         ideal[-1] = self.limit[index]
         points = np.stack([ideal, np.zeros_like(ideal)], axis=-1)
-        landed = self._radial(np.full(len(points), index), points)[0][:, 0]
+        landed = self._radial(self._of(np.full(len(points), index)), points)[0][:, 0]
         return np.interp(np.linspace(0, self.reach[index], TABLE), landed, ideal)
 
-    def _bent(self, lens: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    def _of(self, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients [8, N] of each point's lens, and whether it is a fisheye [N]."""
+        return self.coefficients[lens].T, self.fisheye[lens]
+
+    def _bent(self, of: tuple[np.ndarray, np.ndarray], xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
         """Where points land, and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy, each [N]."""
-        landed, (xx, mixed, yy) = self._radial(lens, xy)
-        p1, p2 = (np.where(self.fisheye, 0, self.coefficients[:, i])[lens] for i in (2, 3))
-        if not (p1.any() or p2.any()):
+        landed, (xx, mixed, yy) = self._radial(of, xy)
+        if not self.tangential:
             return landed, (xx, mixed, mixed, yy)
+        (_, _, p1, p2, *_), fisheye = of
+        if fisheye.any():
+            p1, p2 = np.where(fisheye, 0, p1), np.where(fisheye, 0, p2)
+        x, y = xy[:, 0], xy[:, 1]
+        square, across = x * x + y * y, 2 * (p1 * x + p2 * y)
+        landed[:, 0] += 2 * p1 * x * y + p2 * (square + 2 * x * x)
+        landed[:, 1] += p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        return landed, (xx + 2 * p1 * y + 6 * p2 * x, mixed + across, mixed + across, yy + 6 * p1 * y + 2 * p2 * x)
+
+    def _radial(self, of: tuple[np.ndarray, np.ndarray], xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The radial part s xy of both models, and its derivatives s + s' x^2, s' xy, s + s' y^2, where s' = (ds/dr) / r."""
+        k, fisheye = of
         x, y = xy[:, 0], xy[:, 1]
         square = x * x + y * y
-        aside = np.stack([2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y], axis=-1)
-        across = 2 * (p1 * x + p2 * y)
-        return landed + aside, (xx + 2 * p1 * y + 6 * p2 * x, mixed + across, mixed + across, yy + 6 * p1 * y + 2 * p2 * x)
-
-    def _radial(self, lens: np.ndarray, xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """The radial part s xy of both models, and its derivatives s + s' x^2, s' xy, s + s' y^2, where s' = (ds/dr) / r."""
-        square = (xy * xy).sum(axis=-1)
-        scale, slope = self._rational(lens, square)
-        if self.fisheye.any():
-            wide = self.fisheye[lens]
-            bent = self._spherical(lens, square)
-            scale, slope = np.where(wide, bent[0], scale), np.where(wide, bent[1], slope)
-        x, y = xy[:, 0], xy[:, 1]
+        scale, slope = _rational(k, square) if self.rational else _polynomial(k, square)
+        if fisheye.any():
+            bent = _spherical(k, square)
+            scale, slope = np.where(fisheye, bent[0], scale), np.where(fisheye, bent[1], slope)
         return xy * scale[:, None], (scale + slope * x * x, slope * x * y, scale + slope * y * y)
 
-    def _rational(self, lens: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Scale and (d scale / dr) / r of OpenCV's rational model at squared radii s [N]."""
-        k1, k2, _, _, k3, k4, k5, k6 = self.coefficients[lens].T
-        top, below = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
-        d_top, d_below = k1 + s * (2 * k2 + s * 3 * k3), k4 + s * (2 * k5 + s * 3 * k6)
-        below = np.where(np.abs(below) < 1e-12, 1e-12, below)
-        return top / below, 2 * (d_top * below - top * d_below) / (below * below)
 
-    def _spherical(self, lens: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The same for the fisheye model (Kannala and Brandt 2006): scale = theta_d / r, with r = tan theta."""
-        k1, k2, k3, k4 = self.coefficients[lens, :4].T
-        r = np.sqrt(np.maximum(s, 1e-12))
-        theta = np.arctan(r)
-        t = theta * theta
-        bent = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4))))
-        turn = (1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))) / (1 + r * r)
-        return bent / r, (turn - bent / r) / (r * r)
+def _polynomial(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and (d scale / dr) / r of OpenCV's model without a denominator, coefficients [8, N], at squared radii s [N]."""
+    k1, k2, _, _, k3, *_ = k
+    return 1 + s * (k1 + s * (k2 + s * k3)), 2 * (k1 + s * (2 * k2 + s * 3 * k3))
+
+
+def _rational(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same with the denominator."""
+    top, d_top = _polynomial(k, s)
+    _, _, _, _, _, k4, k5, k6 = k
+    below, d_below = 1 + s * (k4 + s * (k5 + s * k6)), 2 * (k4 + s * (2 * k5 + s * 3 * k6))
+    below = np.where(np.abs(below) < 1e-12, 1e-12, below)
+    return top / below, (d_top * below - top * d_below) / (below * below)
+
+
+def _spherical(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of the fisheye model (Kannala and Brandt 2006): scale = theta_d / r, with r = tan theta."""
+    k1, k2, k3, k4, *_ = k
+    r = np.sqrt(np.maximum(s, 1e-12))
+    theta = np.arctan(r)
+    t = theta * theta
+    bent = theta * (1 + t * (k1 + t * (k2 + t * (k3 + t * k4))))
+    turn = (1 + t * (3 * k1 + t * (5 * k2 + t * (7 * k3 + t * 9 * k4)))) / (1 + r * r)
+    return bent / r, (turn - bent / r) / (r * r)
 
 
 def _limit(lens: Distortion) -> float:
