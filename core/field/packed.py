@@ -11,11 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import SnergError
-from .losses import cauchy
-from .networks import ViewNetwork, field_inputs, field_outputs, view_residual
+from .losses import backgrounds, cauchy, over
+from .networks import density_of, field_inputs, field_outputs, raw_outputs
 from .pixels import PixelPool
 from .sampling import Domain, Occupancy, pack_samples
 from .settings import TrainSettings
+from .shading import ray_colour, sample_values
 from .volume import composite, optical_depth
 
 MOST_RAYS = 8192  # in a step
@@ -23,7 +24,6 @@ UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may be given up
 SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (2.0, 1))  # (until this fraction, times the final spacing)
-NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class PackedScheme:
         size = self.settings.samples
         draw = int(min(size / self.samples_per_ray, MOST_RAYS - 1))
         index = self.pool.draw(draw, self.rng)
-        origin, direction, near = self.pool.rays(index)
+        origin, direction, near, *_ = self.pool.rays(index)
         got = pack_samples(self.domain, self.occupied, origin, direction, self.spacing(fraction), self.rng.random(draw), near)
         self.samples_per_ray = 0.7 * self.samples_per_ray + 0.3 * max(len(got.ray), 1) / draw
         # Whole rays only. None is cut short where the occupancy grid takes it to be opaque: such guesses end a few rays in
@@ -103,10 +103,14 @@ class PackedScheme:
             "used": used,
             "length": np.float32(got.length),
         }
+        if self.settings.background != "white":
+            arrays["background"] = backgrounds(self.settings.background, MOST_RAYS, self.rng)
+        if self.settings.density_noise:
+            arrays["noise"] = self.rng.standard_normal(size, np.float32) * np.float32(self.settings.density_noise)
         return Batch(arrays, count, int(used.sum()))
 
     def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
-        """Squared error over white (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
+        """Squared error (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
         return batch_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, np.ndarray]:
@@ -121,21 +125,20 @@ class PackedScheme:
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
-    """Squared error over white (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
-    density, values = field_outputs(jnp, settings.family, params["field"], batch["inputs"])
+    """Squared error (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
+    view, directions = settings.view_dependence, batch["directions"]
+    raw, values = raw_outputs(jnp, settings.family, params["field"], batch["inputs"])
+    density = density_of(jnp, settings.family, raw + batch["noise"] if "noise" in batch else raw)
+    values = sample_values(jnp, view, settings.family, params, values, directions[batch["ray"]])
     depth = optical_depth(jnp, jnp.where(batch["valid"], density, 0), batch["length"])
     gathered, through, _ = composite(jnp, depth, values, batch["ray"], MOST_RAYS)
-    colour = gathered[:, :3] + through[:, None]
-    if settings.view_dependence:
-        residual = view_residual(jnp, ViewNetwork(*params["view"]), colour, gathered[:, 3:], batch["directions"])
-        colour = colour + jnp.where(through[:, None] <= 1 - NETWORK_OPAQUE, residual, 0)
-    target = batch["target"].astype(jnp.float32) / 255
-    alpha = target[:, 3:]
-    wanted = target[:, :3] * alpha + (1 - alpha)
+    background = batch.get("background", 1.0)
+    colour = ray_colour(jnp, view, params, gathered, through, directions, background)
+    wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, background)
     used = batch["used"].astype(jnp.float32)
     rays = jnp.maximum(used.sum(), 1)
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / rays
     loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / jnp.maximum(batch["valid"].sum(), 1)
     if has_alpha:
-        loss = loss + settings.alpha * ((1 - through - alpha[:, 0]) ** 2 * used).sum() / rays
+        loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / rays
     return loss, error

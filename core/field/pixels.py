@@ -2,56 +2,124 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.distortion import Distortion, Lenses
+from ..capture.ndc import Ndc, space_rays
+from ..errors import SnergError
 from .sampling import Domain, dilated
 
 
 class PixelPool:
-    """Pixels by number, view after view, row by row. alpha: whether every image has it."""
+    """Pixels by number, view after view, row by row.
 
-    def __init__(self, images: list[np.ndarray], cameras: tuple[Camera, ...], domain: Domain) -> None:
-        self.alpha = all(i.shape[-1] == 4 for i in images)
-        self.pixels = np.concatenate([_with_alpha(i).reshape(-1, 4) for i in images])
+    pixels: [N, 4] uint8, sRGB with straight alpha, 255 where an image has none. alpha: whether every image has it and it
+    varies. withheld: [views] bool, views that `draw` passes over; set it at will.
+    """
+
+    def __init__(
+        self,
+        images: Iterable[np.ndarray],
+        cameras: Sequence[Camera],
+        domain: Domain,
+        masks: Sequence[np.ndarray | None] | None = None,
+        ndc: Ndc | None = None,
+    ) -> None:
+        """images: one at a time, uint8 [H, W, 3 or 4] of its camera's size. masks: a view's [H, W] bool, False where a pixel is
+        not to be learned from, or None for all. Raises SnergError when the masks leave nothing."""
+        self.domain, self.ndc = domain, ndc
         self.widths = np.array([c.width for c in cameras])
-        ends = np.cumsum([c.width * c.height for c in cameras])
-        self.starts, self.ends = ends - ends[0] if len(ends) == 1 else np.concatenate([[0], ends[:-1]]), ends
+        self.ends = np.cumsum([c.width * c.height for c in cameras])
+        self.starts = self.ends - self.widths * np.array([c.height for c in cameras])
         self.focal = np.array([c.focal for c in cameras])
         self.centre = np.array([c.centre for c in cameras])
         self.pose = np.stack([c.camera_to_world for c in cameras])
         self.parallel = np.array([c.projection == "orthographic" for c in cameras])
-        self.near = np.array([c.near for c in cameras]) * domain.scale
-        self.domain = domain
-        self.useful = self._useful(images) if self.alpha else None
+        self.near = np.array([c.near for c in cameras])
+        self.withheld = np.zeros(len(cameras), bool)
+        self._set_lenses(cameras)
+        self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
+        self.alpha = self._fill(images)
+        self.useful = self._useful(cameras, masks or [None] * len(cameras))
 
-    def _useful(self, images: list[np.ndarray]) -> np.ndarray:
-        """Pixels on or near something, int64: the others' rays miss the hull and teach nothing."""
-        masks = [dilated(i[..., 3] > 0, max(i.shape[:2]) // 40 + 2).reshape(-1) for i in images]
-        found = np.flatnonzero(np.concatenate(masks))
-        return found if len(found) else np.arange(len(self.pixels))
+    def _set_lenses(self, cameras: Sequence[Camera]) -> None:
+        """Equal lenses are one."""
+        kinds = list(dict.fromkeys(c.distortion for c in cameras))
+        self.lens = np.array([kinds.index(c.distortion) for c in cameras])
+        straight = Distortion("opencv")
+        self.lenses = Lenses([k or straight for k in kinds]) if kinds != [None] else None
+
+    def _fill(self, images: Iterable[np.ndarray]) -> bool:
+        """Put the images in their places, and say whether they have an alpha that varies."""
+        everywhere, varies = True, False
+        for start, end, image in zip(self.starts, self.ends, images, strict=True):
+            place = self.pixels[start:end]
+            place[:, 3] = 255
+            place[:, : image.shape[-1]] = image.reshape(-1, image.shape[-1])
+            everywhere &= image.shape[-1] == 4
+            varies = varies or bool((place[:, 3] < 255).any())
+        return everywhere and varies
+
+    def _useful(self, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray | None:
+        """The numbers of pixels worth drawing, None where all are: what no mask hides, and with alpha what is on or near
+        something, because the other rays miss the hull and teach nothing."""
+        if not self.alpha and all(m is None for m in masks):
+            return None
+        kind = np.int32 if len(self.pixels) < 2**31 else np.int64
+        parts = []
+        for camera, start, end, mask in zip(cameras, self.starts, self.ends, masks, strict=True):
+            keep = np.ones((camera.height, camera.width), bool) if mask is None else mask
+            if self.alpha:
+                solid = self.pixels[start:end, 3].reshape(keep.shape) > 0
+                keep = keep & dilated(solid, max(keep.shape) // 40 + 2)
+            parts.append((np.flatnonzero(keep) + start).astype(kind))
+        if sum(map(len, parts)):
+            return np.concatenate(parts)
+        if not self.alpha:
+            raise SnergError("The masks hide every pixel of every image; in a mask, white is what to use.")
+        return None
 
     def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """[count] pixel numbers."""
-        if self.useful is not None:
-            return self.useful[rng.integers(0, len(self.useful), count)]
-        return rng.integers(0, len(self.pixels), count)
+        """[count] pixel numbers, int64, of views that are not withheld. Raises SnergError when all are."""
+        if self.withheld.all():
+            raise SnergError("Every view is held out; there is none to train on.")
+        index = self._draw(count, rng)
+        if not self.withheld.any():
+            return index
+        again = np.flatnonzero(self.withheld[self._view(index)])
+        for _ in range(1000):
+            if not len(again):
+                return index
+            index[again] = self._draw(len(again), rng)
+            again = again[self.withheld[self._view(index[again])]]
+        raise SnergError("Hardly a pixel is in a view that is not held out; hold out fewer views, or hide less with masks.")
 
-    def rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Origins, unit directions [N, 3] and near [N], field coordinates, of pixels by number (as Camera.rays)."""
-        view = np.searchsorted(self.ends, index, side="right")
+    def _draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        if self.useful is None:
+            return rng.integers(0, len(self.pixels), count)
+        return self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64)
+
+    def _view(self, index: np.ndarray) -> np.ndarray:
+        return np.searchsorted(self.ends, index, side="right")
+
+    def rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Origins and unit directions [N, 3], near and far [N] in the field's coordinates, and unit directions [N, 3] in the
+        world, all float64, of pixels by number (as Camera.rays and space_rays)."""
+        view = self._view(index)
         row, column = np.divmod(index - self.starts[view], self.widths[view])
-        x = (column + 0.5 - self.centre[view, 0]) / self.focal[view, 0]
-        y = -(row + 0.5 - self.centre[view, 1]) / self.focal[view, 1]
+        flat = (np.stack([column, row], axis=-1) + 0.5 - self.centre[view]) / self.focal[view]
+        if self.lenses is not None:
+            flat = self.lenses.undistort(self.lens[view], flat)
         pose = self.pose[view]
-        across = pose[:, :3, 0] * x[:, None] + pose[:, :3, 1] * y[:, None]
+        across = pose[:, :3, 0] * flat[:, :1] - pose[:, :3, 1] * flat[:, 1:]
         back = pose[:, :3, 2]
         parallel = self.parallel[view, None]
-        directions = np.where(parallel, -back, across - back)
-        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        looking = np.where(parallel, -back, across - back)
+        looking /= np.linalg.norm(looking, axis=-1, keepdims=True)
         origins = np.where(parallel, pose[:, :3, 3] + across, pose[:, :3, 3])
-        return (origins - self.domain.centre) * self.domain.scale, directions, self.near[view]
-
-
-def _with_alpha(image: np.ndarray) -> np.ndarray:
-    return image if image.shape[-1] == 4 else np.concatenate([image, np.full_like(image[..., :1], 255)], axis=-1)
+        origins, directions, near, far = space_rays(self.ndc, origins, looking, self.near[view])
+        scale = self.domain.scale
+        return (origins - self.domain.centre) * scale, directions, near * scale, far * scale, looking

@@ -9,8 +9,6 @@ from scenes import looking, make_cameras
 from snerg.core.capture.camera import Camera, focal_from_angle, rigid
 from snerg.core.capture.dataset import focus_box
 from snerg.core.errors import SnergError
-from snerg.core.field.pixels import PixelPool
-from snerg.core.field.sampling import Domain
 
 
 @pytest.mark.hard_case(1, 2, 3)
@@ -62,17 +60,6 @@ def test_poses_that_are_none(bad):
 def test_panoramic_is_refused_by_name():
     with pytest.raises(SnergError, match="panoramic"):
         Camera(8, 8, (8, 8), (4, 4), np.eye(4), "panoramic")
-
-
-def test_training_rays_are_the_cameras_rays():
-    cameras = make_cameras(width=12, height=9)
-    domain = Domain(np.array([0.2, -0.1, 0.3]), 0.7, np.full(3, -1.0), np.full(3, 1.0))
-    images = [np.zeros((c.height, c.width, 3), np.uint8) for c in cameras]
-    origins, directions, near = PixelPool(images, cameras, domain).rays(np.arange(sum(c.width * c.height for c in cameras)))
-    expected = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
-    assert np.allclose(origins, (expected[0] - domain.centre) * domain.scale)
-    assert np.allclose(directions, expected[1])
-    assert near.max() == pytest.approx(cameras[-1].near * domain.scale)
 
 
 def test_the_suggested_box_holds_what_cameras_look_at():
