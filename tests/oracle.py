@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from snerg.core.capture.camera import Camera
+from snerg.core.capture.ndc import Ndc
 from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
 from snerg.core.grid.snerg import NETWORK_TRANSMITTANCE, Snerg
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """colour [H, W, 3] float64 premultiplied, view dependence included; transmittance [H, W]; depth [H, W]: distance times
-    opacity, summed, world units. `composited` [H, W, C - 1]: colour and features before the network."""
+    """colour [H, W, 3] float64 premultiplied, view dependence included; transmittance [H, W]; depth [H, W]: the mean distance in
+    world units (that of the mean place in NDC), infinite where nothing is. `composited` [H, W, C - 1]: colour and features
+    before the network."""
 
     colour: np.ndarray
     transmittance: np.ndarray
@@ -35,12 +37,21 @@ def dense_march(snerg: Snerg, camera: Camera) -> Truth:
         seen = through <= NETWORK_TRANSMITTANCE
         white = colour + through[:, None]
         colour[seen] += residual(snerg, white[seen], values[seen, 3:], directions[seen] @ snerg.view_rotation.T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = np.where(through < 1, depth / (1 - through), np.inf)
+        if snerg.ndc is not None:
+            depth = world_depth(snerg.ndc, origins, directions, depth, max(snerg.near, camera.near))
     h, w = camera.height, camera.width
     return Truth(colour.reshape(h, w, 3), through.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
 def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world."""
+    """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world; depth in units of
+    the grid's space."""
+    begins = near
+    if snerg.ndc is not None:
+        origins, directions = device_rays(snerg.ndc, origins, directions, near)
+        begins = 0.0
     axes, corner = snerg.grid_to_world[:3, :3], snerg.grid_to_world[:3, 3]
     origin = (origins - corner) @ axes / snerg.voxel_size
     direction = directions @ axes
@@ -50,7 +61,7 @@ def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: 
     inside = (origin >= 0) & (origin <= np.array(snerg.shape))
     enters = np.where(parallel, np.where(inside, -np.inf, np.inf), walls.min(axis=0)).max(axis=-1)
     leaves = np.where(parallel, np.where(inside, np.inf, -np.inf), walls.max(axis=0)).min(axis=-1)
-    start = np.maximum(enters, near / snerg.voxel_size)
+    start = np.maximum(enters, begins / snerg.voxel_size)
     values = np.zeros((len(origin), snerg.cells.shape[-1] - 1))
     through, depth = np.ones(len(origin)), np.zeros(len(origin))
     k = 0
@@ -64,6 +75,30 @@ def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: 
         depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
         through[live] *= 1 - sample[:, -1]
         k += 1
+
+
+def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where rays begin in NDC and their unit directions there, by the formulas of NeRF's appendix C; a miss begins far outside."""
+    axes, position = ndc.camera_to_world[:3, :3], ndc.camera_to_world[:3, 3]
+    origin, (dx, dy, dz) = (origins - position) @ axes, (directions @ axes).T
+    seen = dz < -1e-6
+    dz = np.where(seen, dz, -1)
+    t = np.maximum(near, -(ndc.near + origin[:, 2]) / dz)
+    ox, oy, oz = (origin + t[:, None] * np.stack([dx, dy, dz], axis=-1)).T
+    fx, fy = ndc.focal
+    start = np.stack([-fx * ox / oz, -fy * oy / oz, 1 + 2 * ndc.near / oz], axis=-1)
+    along = np.stack([-fx * (dx / dz - ox / oz), -fy * (dy / dz - oy / oz), -2 * ndc.near / oz], axis=-1)
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return np.where(seen[:, None], start, 1e6), np.where(seen[:, None], along, [0, 0, 1.0])
+
+
+def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray, near: float) -> np.ndarray:
+    """World distance [N] of places at a distance [N] along the rays' images in NDC."""
+    start, along = device_rays(ndc, origins, directions, near)
+    x, y, z = (start + distance[:, None] * along).T
+    depth = -2 * ndc.near / (z - 1)
+    local = np.stack([x * depth / ndc.focal[0], y * depth / ndc.focal[1], -depth], axis=-1)
+    return np.linalg.norm(local @ ndc.camera_to_world[:3, :3].T + ndc.camera_to_world[:3, 3] - origins, axis=-1)
 
 
 def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.images import to_uint8, write_png
+from snerg.core.capture.ndc import Ndc
 from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.field.networks import SHAPES, ViewNetwork
 from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
@@ -91,6 +92,7 @@ def make_snerg(
     centre: tuple[float, float, float] = (0, 0, 0),
     size: float = 2.0,
     near: float = 0.0,
+    ndc: Ndc | None = None,
 ) -> Snerg:
     """The scene of `volume` in a box turned by `angles`, around `centre`, `size` world units along its shortest axis."""
     values = volume(shape, fog)
@@ -106,6 +108,7 @@ def make_snerg(
         view_rotation=rotation((0.3, -0.2, 0.9)),
         near=near,
         about={"source": "tests"},
+        ndc=ndc,
     )
 
 
@@ -145,6 +148,38 @@ def make_cameras(
         Camera(w, h, (0.6 * w, 0.6 * w), (w / 2, h / 2), pose((0.05, -0.05, 0.1), (0.4, 0.3, 0.1)), name="Inside"),
         Camera(h, w, (0.9 * w, 0.9 * w), (h / 2, w / 2), pose((0, 0, 2.2)), name="Top, portrait"),
         Camera(w, h, (1.2 * w, 1.2 * w), (w / 2, h / 2), pose((0.4, -1.5, 0.3)), name="Near plane", near=1.45 * size),
+    )
+
+
+def make_frame(scale: float = 1.0, position: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> Ndc:
+    """Device coordinates of a camera at `position` that looks along y, a little down; lengths of the scene in units of `scale`."""
+    target = np.array(position) + scale * np.array([0.1, 1, -0.15])
+    return Ndc(looking(position, tuple(target)), (1.6, 2.1), 1.2 * scale)
+
+
+def make_forward(diffuse: bool = False, scale: float = 1.0, position: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> Snerg:
+    """The scene of `volume` in device coordinates, up to infinity and past it."""
+    return make_snerg((44, 40, 57), diffuse, angles=(0.05, -0.1, 0.15), size=1.44, ndc=make_frame(scale, position), near=0.1 * scale)
+
+
+def make_forward_cameras(frame: Ndc, width: int = 48, height: int = 36) -> tuple[Camera, ...]:
+    """Round the frame's: as it is, aside and turned, far behind, past the near plane, parallel, wide enough to look back."""
+
+    def pose(offset: tuple[float, float, float], turn: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+        move = np.eye(4)
+        move[:3, :3], move[:3, 3] = rotation(turn), np.array(offset) * frame.near
+        return frame.camera_to_world @ move
+
+    w, h = width, height
+    focal, middle = (frame.focal[0] * w / 2, frame.focal[1] * h / 2), (w / 2, h / 2)
+    return (
+        Camera(w, h, focal, middle, pose((0, 0, 0)), name="Frame"),
+        Camera(w, h, (1.1 * focal[0], 0.9 * focal[1]), (0.4 * w, 0.55 * h), pose((0.2, -0.1, 0.05), (0.05, -0.1, 0.3)), name="Aside"),
+        Camera(w, h, (4 * focal[0], 4 * focal[1]), middle, pose((0.5, 0.4, 5), (-0.05, 0.1, 0)), name="Behind"),
+        Camera(w, h, focal, middle, pose((0.1, 0.1, -1.4), (0.1, 0.2, 0)), name="Past the near plane"),
+        Camera(w, h, (0.4 * w / frame.near,) * 2, middle, pose((0, 0, 0), (0.05, 0.1, 0)), "orthographic", "Parallel"),
+        Camera(w, h, (0.2 * w, 0.2 * w), middle, pose((0, 0, 0.2), (0.2, 0.9, 0.1)), name="Looking back"),
+        Camera(w, h, focal, middle, pose((0.1, 0, 0)), name="Near plane", near=2.5 * frame.near),
     )
 
 

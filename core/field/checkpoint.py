@@ -35,8 +35,6 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
     arrays |= {"domain.centre": field.domain.centre, "domain.low": field.domain.low, "domain.high": field.domain.high}
     if field.occupancy is not None:
         arrays["occupancy"] = field.occupancy
-    if field.cameras:
-        arrays["cameras"] = np.stack([camera_row(c) for c in field.cameras])
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise SnergError(f"The field's {name} holds values that are not finite; nothing was written.")
@@ -48,7 +46,8 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
         "spacing": field.spacing,
         "ndc": None if field.ndc is None else field.ndc.to_json(),
         "dataset": field.dataset,
-        "cameras": [[c.projection, c.name] for c in field.cameras],
+        "view": field.view,
+        "cameras": [camera.to_json() for camera in field.cameras],
         "about": field.about,
     }
     arrays["json"] = np.frombuffer(json_bytes(about), np.uint8)
@@ -91,7 +90,6 @@ def read_field_and_state(path: Path) -> tuple[Field, dict[str, np.ndarray]]:
 def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
     family = read_family(about["family"])
     view = {k.removeprefix("view."): v for k, v in arrays.items() if k.startswith("view.")}
-    rows = arrays.get("cameras", np.zeros((0, 23)))
     return Field(
         family=family,
         params=unflatten({k.removeprefix("params."): v for k, v in arrays.items() if k.startswith("params.")}, family),
@@ -99,10 +97,11 @@ def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
         domain=Domain(arrays["domain.centre"], float(about["scale"]), arrays["domain.low"], arrays["domain.high"]),
         occupancy=arrays.get("occupancy"),
         spacing=float(about["spacing"]),
-        cameras=tuple(row_camera(row, *names) for row, names in zip(rows, about["cameras"], strict=True)),
+        cameras=tuple(Camera.from_json(camera) for camera in about["cameras"]),
         dataset=str(about["dataset"]),
         about=dict(about["about"]),
         ndc=None if about["ndc"] is None else Ndc.from_json(about["ndc"]),
+        view=str(about["view"]),
     )
 
 
@@ -129,14 +128,3 @@ def unflatten(arrays: dict[str, np.ndarray], family: Family) -> Any:
     if isinstance(family, HashFamily):
         return arrays
     return tuple(Dense(arrays[f"{i:02d}.kernel"], arrays[f"{i:02d}.bias"]) for i in range(len(arrays) // 2))
-
-
-def camera_row(camera: Camera) -> np.ndarray:
-    """[23] float64: size, focal, centre, near, pose."""
-    return np.array([camera.width, camera.height, *camera.focal, *camera.centre, camera.near, *camera.camera_to_world.ravel()])
-
-
-def row_camera(row: np.ndarray, projection: str, name: str) -> Camera:
-    """Undo `camera_row`."""
-    focal, centre = (float(row[2]), float(row[3])), (float(row[4]), float(row[5]))
-    return Camera(int(row[0]), int(row[1]), focal, centre, row[7:].reshape(4, 4), projection, name, float(row[6]))

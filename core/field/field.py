@@ -23,6 +23,8 @@ class Field:
     """The deferred NeRF (section 4.2).
 
     family: what the network is; params: its arrays, NumPy; network: the view-dependence network, None when diffuse.
+    view: how it depends on the direction that it is seen from: 'deferred' (the network once a ray, section 4.2), 'diffuse' (not at
+    all), 'sample' or 'tiny' (in each sample; see shading.py).
     ndc: what its space is: the world where None, else the world in these device coordinates.
     domain: the field's coordinates in that space. occupancy: bool [128^3] (see Occupancy), or None where
     anything may be anywhere. spacing: distance between samples, field coordinates. cameras: those it was trained from.
@@ -39,6 +41,7 @@ class Field:
     dataset: str = ""
     about: dict[str, Any] = field(default_factory=dict)
     ndc: Ndc | None = None
+    view: str = "deferred"
 
     @cached_property
     def _compiled(self) -> Callable[[np.ndarray], tuple[Any, Any]]:

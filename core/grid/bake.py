@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.field import Field
 from ..field.volume import opacity, optical_depth
@@ -52,11 +53,17 @@ def bake(
     settings: BakeSettings = BakeSettings(),
     progress: Progress = lambda fraction, what: None,
 ) -> Snerg:
-    """Evaluate a field inside a box into a sparse grid.
+    """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.
 
-    cameras: those that decide what is visible; none keeps everything. Raises SnergError for a field whose
-    values are not finite, Cancelled when `progress` does. An empty result is a valid scene; `about` says so.
+    cameras: those that decide what is visible; none keeps everything. Raises SnergError for a field whose values are not
+    finite, or that depends on the direction in each sample, which a grid cannot hold; Cancelled when `progress` does. An empty
+    result is a valid scene; `about` says so.
     """
+    if field.view not in ("deferred", "diffuse"):
+        raise SnergError(
+            f"The field's view dependence is of the kind {field.view!r}, sample by sample, which no grid can hold; "
+            "train it with view dependence 'deferred' or 'diffuse' to bake it."
+        )
     clock = _Clock()
     lattice = Lattice.inside(box, settings.resolution)
     blocks, alpha = occupied_blocks(field, lattice, settings, lambda f, w: progress(0.3 * f, w))
@@ -64,7 +71,7 @@ def bake(
     indirection = number(blocks)
     keep = dilate(alpha > 1 / 1024, indirection, 1)
     if cameras and len(alpha):
-        opaque = opacity_scene(lattice, alpha, indirection)
+        opaque = opacity_scene(lattice, alpha, indirection, field.ndc)
         seen = visible_voxels(opaque, cameras, settings.visibility_threshold, lambda f, w: progress(0.3 + 0.3 * f, w))
         keep &= dilate(seen, indirection, 2)
         del opaque, seen
@@ -76,7 +83,7 @@ def bake(
     about = {"bake": {"settings": asdict(settings), "seconds": clock.laps, "blocks": len(cells), "blocks_in_all": indirection.size}}
     if not len(cells):
         about["bake"]["warning"] = "The box holds nothing; move it over the object, or train longer."
-    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, field.network, about=about)
+    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, field.network, about=about, ndc=field.ndc)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +109,7 @@ class Lattice:
         """Macroblocks along each axis."""
         return blocks_of(self.shape)
 
-    def world(self, voxels: np.ndarray) -> np.ndarray:
+    def points(self, voxels: np.ndarray) -> np.ndarray:
         """Centres [N, 3] float64 of voxels given by (possibly fractional) index [N, 3]."""
         local = (voxels + 0.5) * self.voxel_size
         return local @ self.grid_to_world[:3, :3].T + self.grid_to_world[:3, 3]
@@ -146,22 +153,23 @@ def may_hold(field: Field, lattice: Lattice) -> np.ndarray:
     offsets = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     found = np.zeros(lattice.blocks, bool)
     for place in np.ndindex(*lattice.blocks):
-        world = lattice.world(np.array(place) * DATA_VOXELS + offsets)
-        found[place] = field.holds(field.domain.from_world(world)).any()
+        points = lattice.points(np.array(place) * DATA_VOXELS + offsets)
+        found[place] = field.holds(field.domain.from_world(points)).any()
     return found
 
 
 def field_alpha(field: Field, lattice: Lattice, voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Opacity over one voxel (1 - exp(-density * voxel)) and RGB with features [N, 7], at voxel indices [N, 3]."""
-    density, colour, features = field.query(lattice.world(voxels))
+    """Opacity over one voxel (1 - exp(-density * voxel)) and RGB with features [N, C], at voxel indices [N, 3]."""
+    density, colour, features = field.query(lattice.points(voxels))
     return opacity(np, optical_depth(np, density, np.float32(lattice.voxel_size))), np.concatenate([colour, features], axis=-1)
 
 
-def opacity_scene(lattice: Lattice, alpha: np.ndarray, indirection: np.ndarray) -> Snerg:
+def opacity_scene(lattice: Lattice, alpha: np.ndarray, indirection: np.ndarray, ndc: Ndc | None) -> Snerg:
     """A scene of opacity alone, for the visibility march; faint voxels stay, so that fog adds up."""
     own = np.zeros((*alpha.shape, 4), np.uint8)
     own[..., 3] = np.ceil(alpha * 255 - 1e-3).clip(0, 255)
-    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, with_apron(own, indirection), None)
+    cells = with_apron(own, indirection)
+    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, None, ndc=ndc)
 
 
 def prefilter(
@@ -187,20 +195,21 @@ def prefilter(
 
 
 def average(field: Field, lattice: Lattice, voxels: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Premultiplied RGB and features [N, 7], and opacity [N], averaged over each voxel's own jitter.
+    """Premultiplied RGB and features [N, C], and opacity [N], averaged over each voxel's own jitter.
 
     Offsets come in pairs of opposite signs, so that no voxel's content moves (hard case 48); an odd one is the centre.
     """
-    colour, total = np.zeros((len(voxels), 7), np.float32), np.zeros(len(voxels), np.float32)
+    colour: np.ndarray | float = 0.0
+    total = np.zeros(len(voxels), np.float32)
     offsets = voxel_normal(voxels, samples // 2, seed) / np.sqrt(12)
     signed = [sign * offsets[:, pair] for pair in range(samples // 2) for sign in (1, -1)]
     if samples % 2:
         signed.append(np.zeros(voxels.shape))
     for offset in signed:
         alpha, values = field_alpha(field, lattice, voxels + offset)
-        colour += values * alpha[:, None]
+        colour = colour + values * alpha[:, None]
         total += alpha
-    return colour / samples, total / samples
+    return np.asarray(colour) / np.float32(samples), total / np.float32(samples)
 
 
 class _Clock:

@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import space_rays, world_distance
 from ..field.networks import ViewNetwork, view_residual
 from .box import CELL_VOXELS, DATA_VOXELS
 from .snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
@@ -67,18 +68,20 @@ def march(
 ) -> Frame:
     """Render a baked scene from a camera. `progress` may raise Cancelled, which it does between batches."""
     origins, directions = camera.rays()
-    composited = march_rays(snerg, origins, directions, settings, progress, near=max(snerg.near, camera.near))
+    near = max(snerg.near, camera.near)
+    composited = march_rays(snerg, origins, directions, settings, progress, near)
     colour = shade(snerg.network, composited, directions @ snerg.view_rotation.T)
     alpha = 1 - composited.transmittance
-    depth = np.where(alpha > 0, composited.depth / np.maximum(alpha, 1e-6), np.inf)
+    depth = world_distance(snerg.ndc, origins, directions, composited.depth / np.maximum(alpha, 1e-6), near)
+    depth = np.where(alpha > 0, depth, np.inf)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.astype(np.float32).reshape(shape))
 
 
 @dataclass(frozen=True, eq=False)
 class Composited:
-    """What a ray gathers: colour [N, 3], features [N, 4] (zeros in a diffuse scene), transmittance [N], and
-    depth [N], distance times opacity in world units. float32."""
+    """What a ray gathers: colour [N, 3], features [N, 4] (none in a diffuse scene: [N, 0]), transmittance [N], and
+    depth [N], distance times opacity in units of the space (see `space_rays`). float32."""
 
     colour: np.ndarray
     features: np.ndarray
@@ -111,7 +114,8 @@ def march_rays(
 ) -> Composited:
     """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6).
 
-    visited: bool [M * 32^3], set where a sample was taken in a voxel (always in a block's own part of its cell).
+    near: world units along the ray. visited: bool [M * 32^3], set where a sample was taken in a voxel (always in a block's
+    own part of its cell).
     """
     tables = tables_of(snerg)
     origin, direction, start, stop = enter(snerg, origins, directions, near)
@@ -130,18 +134,18 @@ def march_rays(
     with ThreadPoolExecutor(settings.threads) as pool:
         for done, _ in enumerate(pool.map(run, batches)):
             progress((done + 1) / len(batches), "Marching")
-    features = gathered[:, 3:7] if tables.channels == 8 else np.zeros((count, 4), np.float32)
-    return Composited(gathered[:, :3], features, through, depth * np.float32(snerg.voxel_size))
+    return Composited(gathered[:, :3], gathered[:, 3:-1], through, depth * np.float32(snerg.voxel_size))
 
 
 def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rays in voxel coordinates, re-based to where they enter the grid.
+    """Rays of the world in voxel coordinates, re-based to where they enter the grid.
 
     Returns point of entry [N, 3], direction [N, 3] (both float32), and the distances in voxels [N] at which the
-    ray starts (float32, from the eye) and stops (from the eye). Everything up to here is float64, so a scene far from the
+    ray starts and stops, from where it begins (the eye, or NDC's near plane). Everything up to here is float64, so a scene far from the
     origin is as steady as one at it (hard case 6); a direction of 0 along an axis is a miss or all of it (31, 32).
     """
     rotation = snerg.grid_to_world[:3, :3]
+    origins, directions, begins, _ = space_rays(snerg.ndc, origins, directions, near)
     local = (origins - snerg.grid_to_world[:3, 3]) @ rotation / snerg.voxel_size
     towards = directions @ rotation
     shape = np.array(snerg.shape, np.float64)
@@ -151,7 +155,7 @@ def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float
     inside = (local >= 0) & (local <= shape)
     first = np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(low, high)).max(axis=-1)
     last = np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(low, high)).min(axis=-1)
-    start = np.maximum(first, near / snerg.voxel_size)
+    start = np.maximum(first, begins / snerg.voxel_size)
     start = np.where(np.isfinite(start) & (start < last), start, 0)
     last = np.where(first < last, last, -1)
     entry = local + towards * start[:, None]

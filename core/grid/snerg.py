@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.camera import rigid
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
 from .box import CELL_VOXELS, DATA_VOXELS, Box
@@ -19,6 +20,8 @@ NETWORK_TRANSMITTANCE = 254 / 255  # the network runs where less light than this
 class Snerg:
     """A Sparse Neural Radiance Grid.
 
+    ndc: the grid's world is the world where None; else it is the world in these device coordinates, whose units lengths
+        of the grid then have. Cameras, near and depth stay in the world.
     grid_to_world: [4, 4] float64 rigid; grid coordinates are world units along the box's axes, from the
         outer corner of voxel (0, 0, 0). Voxel i has its centre at (i + 0.5) * voxel_size.
     voxel_size: world units. shape: voxels (x, y, z).
@@ -41,6 +44,7 @@ class Snerg:
     view_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
     near: float = 0.0
     about: dict[str, Any] = field(default_factory=dict)
+    ndc: Ndc | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "grid_to_world", rigid(self.grid_to_world, "The scene's grid"))
@@ -60,7 +64,7 @@ class Snerg:
 
     @property
     def box(self) -> Box:
-        """The volume of the whole lattice as a box in the world."""
+        """The volume of the whole lattice as a box in the grid's world (see `ndc`)."""
         size = np.array(self.shape) * self.voxel_size
         pose = self.grid_to_world.copy()
         pose[:3, 3] += pose[:3, :3] @ (size / 2)
@@ -69,7 +73,7 @@ class Snerg:
     @property
     def effects(self) -> dict[str, bool]:
         """Which optional effects the scene carries."""
-        return {"view_dependence": self.network is not None}
+        return {"view_dependence": self.network is not None, "ndc": self.ndc is not None}
 
 
 def blocks_of(shape: tuple[int, int, int]) -> tuple[int, int, int]:

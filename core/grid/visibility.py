@@ -33,10 +33,15 @@ def visible_voxels(
 
 def marching_camera(camera: Camera, scene: Snerg) -> Camera:
     """The camera with pixels of about two voxels at the middle of the scene, at most as many as it has."""
-    box = scene.box
-    distance = 1.0
-    if camera.projection == "perspective":
-        distance = max(float(np.linalg.norm(camera.position - box.box_to_world[:3, 3])), float(box.size.max()) / 4)
-    pixels_a_voxel = max(camera.focal) * scene.voxel_size / distance
-    scale = min(1.0, 0.5 / pixels_a_voxel)
+    scale = min(1.0, 0.5 / (pixels_a_unit(camera, scene) * scene.voxel_size))
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def pixels_a_unit(camera: Camera, scene: Snerg) -> float:
+    """Pixels of a camera that a length of 1 of the scene's space covers, about the middle of the scene."""
+    if camera.projection == "orthographic":
+        return max(camera.focal)
+    if scene.ndc is not None:  # as many at any depth for a camera where the frame is, about as many for its neighbours
+        return max(mine / frame for mine, frame in zip(camera.focal, scene.ndc.focal, strict=True))
+    box = scene.box
+    return max(camera.focal) / max(float(np.linalg.norm(camera.position - box.box_to_world[:3, 3])), float(box.size.max()) / 4)

@@ -26,6 +26,8 @@ class Ball:
     network: ViewNetwork | None = None
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
     occupancy: None = None
+    ndc: None = None
+    view: str = "deferred"
     domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
 
     def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -47,7 +49,7 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
 def test_lattice_covers_the_box_and_a_voxel_more():
     lattice = Lattice.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 64)
     assert lattice.shape == (66, 34, 18)
-    assert np.allclose(lattice.world(np.array([[1, 1, 1]]) - 0.5), 0)
+    assert np.allclose(lattice.points(np.array([[1, 1, 1]]) - 0.5), 0)
 
 
 @pytest.mark.hard_case(6, 39)
@@ -143,6 +145,22 @@ def test_cancelled_between_batches():
 
     with pytest.raises(Cancelled):
         bake(Ball(), BOX, (), BakeSettings(32), stop)
+
+
+@pytest.mark.parametrize("view", ["sample", "tiny"])
+def test_view_dependence_in_every_sample_cannot_be_baked(view):
+    with pytest.raises(SnergError, match=f"'{view}'.*deferred"):
+        bake(Ball(view=view), BOX, (), BakeSettings(32))
+
+
+def test_a_field_without_features_is_baked():
+    class Plain(Ball):
+        def query(self, points):
+            density, colour, features = super().query(points)
+            return density, colour, features[:, :0]
+
+    plain, ball = bake(Plain(view="diffuse"), BOX, (), BakeSettings(32)), bake(Ball(), BOX, (), BakeSettings(32))
+    assert np.array_equal(plain.cells, ball.cells)
 
 
 @pytest.mark.parametrize("settings", [{"resolution": 0}, {"resolution": 10**6}, {"samples": 0}])

@@ -1,0 +1,67 @@
+"""Fields on disk."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scenes import make_cameras, make_frame, random_network
+from snerg.core.capture.distortion import Distortion
+from snerg.core.errors import SnergError
+from snerg.core.field.checkpoint import read_field, write_field
+from snerg.core.field.encoding import HashGrid
+from snerg.core.field.field import CHUNK, Field, in_chunks
+from snerg.core.field.networks import HashFamily
+from snerg.core.field.sampling import Domain
+
+
+@pytest.fixture
+def field():
+    params = {"table": np.arange(6, dtype=np.float32).reshape(3, 2), "bias_0": np.float32([1, 2])}
+    domain = Domain.around(np.array([-1.0, -0.9, -1.0]), np.array([1.0, 0.9, 1.0]))
+    return Field(HashFamily(HashGrid(levels=2)), params, random_network(), domain, None, 0.01)
+
+
+def test_the_space_the_lenses_and_the_view_mode_come_back(field, tmp_path):
+    lens = Distortion("opencv", (0.1, -0.02, 0.001, 0.002, 0.0, 0.0, 0.0, 0.0))
+    cameras = (replace(make_cameras()[1], distortion=lens), *make_cameras()[2:])
+    write_field(replace(field, ndc=make_frame(), cameras=cameras, view="tiny"), tmp_path)
+    back = read_field(tmp_path)
+    assert back.view == "tiny" and back.ndc is not None
+    assert np.allclose(back.ndc.camera_to_world, make_frame().camera_to_world, rtol=0, atol=1e-15)
+    assert (back.ndc.focal, back.ndc.near) == (make_frame().focal, make_frame().near)
+    for here, there in zip(back.cameras, cameras, strict=True):
+        assert here.distortion == there.distortion and (here.name, here.projection) == (there.name, there.projection)
+        assert np.allclose(here.rays()[1], there.rays()[1], rtol=0, atol=1e-15)
+
+
+def test_the_world_is_the_space_otherwise(field, tmp_path):
+    write_field(field, tmp_path)
+    back = read_field(tmp_path)
+    assert back.ndc is None and back.view == "deferred" and back.cameras == ()
+
+
+def test_another_version_is_told_apart(field, tmp_path):
+    write_field(field, tmp_path)
+    with np.load(tmp_path / "field.npz") as archive:
+        arrays = dict(archive)
+    arrays["json"] = np.frombuffer(
+        arrays["json"].tobytes().replace(b'"version":2', b'"version":1').replace(b'"version": 2', b'"version": 1'), np.uint8
+    )
+    np.savez(tmp_path / "field.npz", **arrays)
+    with pytest.raises(SnergError, match="snerg-field 1; this SNeRG reads snerg-field 2"):
+        read_field(tmp_path)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 24])
+def test_chunks_are_of_one_shape_and_leave_no_trace(count):
+    shapes = []
+
+    def function(x):
+        shapes.append(x.shape)
+        return x.sum(axis=-1), 2 * x[:, :2]
+
+    x = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    total, double = in_chunks(function, x, 8)
+    assert np.array_equal(total, x.sum(axis=-1)) and np.array_equal(double, 2 * x[:, :2]) and double.shape == (count, 2)
+    assert set(shapes) == {(8, 3)} and CHUNK > 8
