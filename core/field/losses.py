@@ -1,9 +1,11 @@
-"""Losses of training (eqs. 3 and 8)."""
+"""Losses of training (eqs. 3 and 8), and what stands behind the images."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
+
+import numpy as np
 
 
 def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
@@ -15,3 +17,18 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
     small = xnp.where(large, 1.0, density)  # the branch not taken must have a finite gradient too
     big = xnp.where(large, density, 1.0)
     return xnp.where(large, 2 * xnp.log(big) - math.log(c), xnp.log1p(small * small / c))
+
+
+def backgrounds(name: str, rays: int, rng: np.random.Generator) -> np.ndarray:
+    """Colours [rays, 3] float32 behind rays: 'white', 'black', 'random' (a new one each ray) or '#rrggbb'."""
+    if name == "random":
+        return rng.random((rays, 3), np.float32)
+    value = {"white": "#ffffff", "black": "#000000"}.get(name, name)
+    colour = np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)], np.float32) / 255
+    return np.broadcast_to(colour, (rays, 3)).copy()
+
+
+def over(target: Any, background: Any = 1.0) -> tuple[Any, Any]:
+    """Images' straight-alpha pixels [N, 4] in [0, 1] over a background [N, 3] (1: white): colour [N, 3] and alpha [N]."""
+    alpha = target[:, 3:]
+    return target[:, :3] * alpha + (1 - alpha) * background, alpha[:, 0]

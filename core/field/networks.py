@@ -1,4 +1,4 @@
-"""The field families and the view-dependence network: pure functions on arrays, the same for NumPy and JAX."""
+"""The field families and their view dependence: pure functions on arrays, the same for NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .encoding import HashGrid, hash_encode, hash_lookup
-from .positional import FEATURES, POINT_DEGREES, SKIP, init_trunk, trunk
+from .positional import FEATURES, POINT_DEGREES, SKIP, Dense, init_dense, init_trunk, trunk
 
 VIEW_DEGREES = 4  # sin and cos of 2^0 .. 2^3 times the direction
+VIEWS = ("deferred", "diffuse", "sample", "tiny")
+"""Where a field's view dependence is: in a small network a ray (section 4.2), nowhere, in NeRF's layers a sample (section 4.1),
+or in the small network a sample ("JAXNeRF+ Tinyview", supplement C.4)."""
 
 
 class ViewNetwork(NamedTuple):
@@ -25,6 +28,7 @@ class ViewNetwork(NamedTuple):
 
 
 SHAPES = ((34, 16), (16,), (16, 16), (16,), (16, 3), (3,))
+ENCODED_VIEW = 3 * (1 + 2 * VIEW_DEGREES)
 
 
 def view_encoding(xnp: Any, directions: Any) -> Any:
@@ -73,37 +77,62 @@ class MlpFamily:
 
 
 Family = HashFamily | MlpFamily
-HEADS = 1 + 3 + FEATURES  # density, RGB, features
 
 
-def init_field(family: Family, view_dependence: bool, rng: np.random.Generator) -> dict[str, Any]:
-    """Random parameters as NumPy arrays: {"field": ..., "view": six arrays} ("view" only with view dependence)."""
-    if isinstance(family, HashFamily):
-        params: dict[str, Any] = {"field": _init_hash(family, rng)}
-    else:
-        params = {"field": init_trunk(rng, family.width, family.depth, family.degrees, family.skip)}
-    if view_dependence:
-        kernels = [glorot(rng, *shape) if len(shape) == 2 else np.zeros(shape, np.float32) for shape in SHAPES]
+def init_params(family: Family, view: str, coarse: bool, rng: np.random.Generator) -> dict[str, Any]:
+    """Random parameters of all that is trained, NumPy: `init_field`, and the same again as "coarse" where that is asked for."""
+    params = init_field(family, view, rng)
+    return params | {"coarse": init_field(family, view, rng)} if coarse else params
+
+
+def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Random parameters as NumPy arrays: {"field": ..., "view": six arrays} ("view" only where there is a MLP_Phi).
+
+    view: one of VIEWS, or 'auto', which has the arrays of 'deferred'. A diffuse field's arrays are those of a deferred one
+    without the last columns of its last head, so that the one can be cut out of the other.
+    """
+    outputs = {"diffuse": 3, "sample": family.width}.get(view, 3 + FEATURES)
+    params: dict[str, Any] = {
+        "field": _init_hash(family, outputs, rng) if isinstance(family, HashFamily) else _init_mlp(family, outputs, rng)
+    }
+    if view == "sample":
+        params["field"] = _with_head(params["field"], family.width, rng)
+    elif view != "diffuse":
+        kernels = [init_dense(rng, *shape).kernel if len(shape) == 2 else np.zeros(shape, np.float32) for shape in SHAPES]
         kernels[5] -= 3.0  # the residual starts near 0, and diffuse colour explains what it can first
         params["view"] = tuple(kernels)
     return params
 
 
-def glorot(rng: np.random.Generator, fan_in: int, fan_out: int) -> np.ndarray:
-    """[fan_in, fan_out] float32, uniform (Glorot and Bengio 2010)."""
-    limit = np.sqrt(6 / (fan_in + fan_out))
-    return rng.uniform(-limit, limit, (fan_in, fan_out)).astype(np.float32)
-
-
-def _init_hash(family: HashFamily, rng: np.random.Generator) -> dict[str, Any]:
+def _init_hash(family: HashFamily, outputs: int, rng: np.random.Generator) -> dict[str, Any]:
     grid, width = family.grid, family.width
-    return {
-        "table": rng.uniform(-1e-4, 1e-4, (grid.rows, grid.features)).astype(np.float32),
-        "weights_0": glorot(rng, grid.levels * grid.features, width),
-        "bias_0": np.zeros(width, np.float32),
-        "weights_1": glorot(rng, width, HEADS),
-        "bias_1": np.zeros(HEADS, np.float32),
+    table = rng.uniform(-1e-4, 1e-4, (grid.rows, grid.features)).astype(np.float32)
+    layers = [init_dense(rng, grid.levels * grid.features, width), init_dense(rng, width, 1 + outputs)]
+    return {"table": table} | {
+        f"{part}_{i}": a for i, layer in enumerate(layers) for part, a in zip(("weights", "bias"), layer, strict=True)
     }
+
+
+def _init_mlp(family: MlpFamily, outputs: int, rng: np.random.Generator) -> Any:
+    return init_trunk(rng, family.width, family.depth, family.degrees, family.skip, outputs)
+
+
+def _with_head(params: Any, width: int, rng: np.random.Generator) -> Any:
+    """NeRF's view dependence: a layer of half the width over the bottleneck and the encoded direction, then RGB."""
+    hidden, rgb = init_dense(rng, width + ENCODED_VIEW, max(width // 2, 1)), init_dense(rng, max(width // 2, 1), 3)
+    if not isinstance(params, dict):
+        return (*params, hidden, rgb)
+    return params | {"weights_2": hidden.kernel, "bias_2": hidden.bias, "weights_3": rgb.kernel, "bias_3": rgb.bias}
+
+
+def view_head(family: Family, params: Any) -> tuple[Dense, Dense] | None:
+    """The two layers a sample of a field with view dependence 'sample'; None in any other field."""
+    if isinstance(family, HashFamily):
+        if "weights_2" not in params:
+            return None
+        return Dense(params["weights_2"], params["bias_2"]), Dense(params["weights_3"], params["bias_3"])
+    layers = params[family.depth + 2 :]
+    return (layers[0], layers[1]) if layers else None
 
 
 def field_inputs(xnp: Any, family: Family, x: Any) -> Any:
@@ -114,15 +143,33 @@ def field_inputs(xnp: Any, family: Family, x: Any) -> Any:
 
 
 def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
-    """(density [N] per unit of the field's own coordinates, RGB and features [N, 7] in [0, 1]) (eq. 4)."""
+    """(density [N] per unit of the field's own coordinates, values [N, C]) (eq. 4).
+
+    values: RGB and features [N, 7] in [0, 1], RGB alone [N, 3] of a diffuse field; with view dependence 'sample' NeRF's bottleneck
+    [N, width], which has no activation.
+    """
+    raw, values = raw_outputs(xnp, family, params, inputs)
+    return density_of(xnp, family, raw), values
+
+
+def raw_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
+    """`field_outputs` with the density [N] as it is before its activation."""
     if isinstance(family, HashFamily):
         hidden = xnp.maximum(hash_encode(params["table"], *inputs) @ params["weights_0"] + params["bias_0"], 0)
         raw = hidden @ params["weights_1"] + params["bias_1"]
-        return bounded_exp(xnp, raw[:, 0]), sigmoid(xnp, raw[:, 1:])
-    raw_density, raw = trunk(xnp, params, inputs, family.degrees, family.skip)
+        density, values = raw[:, 0], raw[:, 1:]
+    else:
+        density, values = trunk(xnp, params[: family.depth + 2], inputs, family.degrees, family.skip)
+    return density, values if view_head(family, params) else sigmoid(xnp, values)
+
+
+def density_of(xnp: Any, family: Family, raw: Any) -> Any:
+    """Density [N] >= 0 from what a network gives [N]."""
+    if isinstance(family, HashFamily):
+        return bounded_exp(xnp, raw)
     if family.density == "relu":
-        return xnp.maximum(raw_density, 0), sigmoid(xnp, raw)
-    return xnp.logaddexp(raw_density + 1, 0) * 8, sigmoid(xnp, raw)
+        return xnp.maximum(raw, 0)
+    return xnp.logaddexp(raw + 1, 0) * 8
 
 
 def sigmoid(xnp: Any, x: Any) -> Any:

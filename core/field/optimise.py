@@ -17,9 +17,25 @@ BETA_1 = 0.9
 
 
 def learning_rate(settings: TrainSettings, step: int, fraction: float) -> float:
-    """Log-linear decay over `fraction` of the training, after a linear warm-up from a tenth over the first steps (section 6)."""
-    warm = 0.1 + 0.9 * min(step / max(settings.warm_up, 1), 1.0)
+    """Log-linear decay over `fraction` of the training; in the first steps it rises from a tenth as JAXNeRF's does (section 6)."""
+    warm = 0.1 + 0.9 * math.sin(math.pi / 2 * min(step / max(settings.warm_up, 1), 1.0))
     return warm * math.exp(math.log(settings.rate) + fraction * (math.log(settings.final_rate) - math.log(settings.rate)))
+
+
+def clipped(settings: TrainSettings, gradient: Any) -> Any:
+    """A gradient cut off by value and then scaled to a norm over all parameters, where the settings say so (section 6).
+
+    The norm is taken of values divided by the largest, so that no square overflows (hard case 26).
+    """
+    if settings.clip_value is not None:
+        limit = settings.clip_value
+        gradient = jax.tree.map(lambda g: jnp.clip(g, -limit, limit), gradient)
+    if settings.clip_norm is not None:
+        leaves = jax.tree.leaves(gradient)
+        largest = jnp.maximum(jnp.stack([jnp.abs(g).max() for g in leaves]).max(), 1e-30)
+        norm = largest * jnp.sqrt(sum(jnp.sum((g / largest) ** 2) for g in leaves))
+        gradient = jax.tree.map(lambda g: g * jnp.minimum(1, settings.clip_norm / jnp.maximum(norm, 1e-30)), gradient)
+    return gradient
 
 
 def zero_moments(params: Any) -> tuple[Any, Any]:
@@ -33,16 +49,17 @@ def train_step(
     """One step of Adam (Kingma and Ba 2015). Returns (params, moments, (loss, squared error of colour, whether finite)).
 
     A step whose loss or gradient is not finite changes nothing (hard case 26): a NaN anywhere in the table's gradient
-    comes through the small arrays, so only those are looked at.
+    comes through the other arrays, so only those are looked at.
     """
     (loss, error), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
-    small = [g for g in jax.tree.leaves(gradient) if g.size < 2**16]
-    finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in small]).all()
+    looked = [g for path, g in jax.tree_util.tree_leaves_with_path(gradient) if not _is_table(path)]
+    finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in looked]).all()
+    gradient = clipped(settings, gradient)
     b1, b2 = BETA_1, settings.beta_2
     unbias = jnp.sqrt(1 - b2 ** jnp.float32(step)) / (1 - b1 ** jnp.float32(step))
 
     def update(path: Any, p: Any, g: Any, m: Any, v: Any) -> tuple[Any, Any, Any]:
-        table = "table" in jax.tree_util.keystr(path)
+        table = _is_table(path)
         # A vertex that no sample of this step touched rests: were its moments to decay, one sample in ten steps would
         # move it ten times as far as a sample in each does. What hardly any light reaches counts as untouched, because
         # Adam makes full steps even of gradients of 1e-14.
@@ -54,3 +71,8 @@ def train_step(
     changed = jax.tree_util.tree_map_with_path(update, params, gradient, *moments)
     p, m, v = jax.tree.transpose(jax.tree.structure(params), jax.tree.structure((0, 0, 0)), changed)
     return p, (m, v), (loss, error, finite)
+
+
+def _is_table(path: Any) -> bool:
+    """Whether an array of the parameters is a hash grid's table."""
+    return "table" in jax.tree_util.keystr(path)

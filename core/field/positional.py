@@ -24,7 +24,7 @@ class Dense(NamedTuple):
 
 
 Trunk = tuple[Dense, ...]
-"""The hidden layers in order, then the density head [W, 1], then the head of RGB and features [W, 7]."""
+"""The hidden layers in order, then the density head [W, 1], then the head of the other outputs: RGB and features [W, 7]."""
 
 
 def positional_encoding(xnp: Any, x: Any, degrees: int = POINT_DEGREES) -> Any:
@@ -40,7 +40,7 @@ def positional_encoding(xnp: Any, x: Any, degrees: int = POINT_DEGREES) -> Any:
 
 
 def trunk(xnp: Any, layers: Sequence[Dense], x: Any, degrees: int = POINT_DEGREES, skip: int = SKIP) -> tuple[Any, Any]:
-    """Positions [N, 3] through the perceptron to (raw density [N], raw RGB and features [N, 7]), before activations."""
+    """Positions [N, 3] through the perceptron to (raw density [N], raw other outputs [N, 7]), before activations."""
     inputs = positional_encoding(xnp, x, degrees)
     x = inputs
     for i, layer in enumerate(layers[:-2]):
@@ -62,21 +62,31 @@ def mlp_field(xnp: Any, layers: Sequence[Dense], points: Any, degrees: int = POI
     return activate(xnp, *trunk(xnp, layers, points, degrees))
 
 
-def layer_shapes(width: int, depth: int, degrees: int = POINT_DEGREES, skip: int = SKIP) -> tuple[tuple[int, int], ...]:
+def layer_shapes(
+    width: int, depth: int, degrees: int = POINT_DEGREES, skip: int = SKIP, outputs: int = OUTPUTS
+) -> tuple[tuple[int, int], ...]:
     """Kernel shapes of a trunk: depth hidden layers of that width, then the two heads."""
     encoded = 3 * (1 + 2 * degrees)
     shapes, size = [], encoded
     for i in range(depth):
         shapes.append((size, width))
         size = width + encoded if i > 0 and i % skip == 0 else width
-    return (*shapes, (size, 1), (size, OUTPUTS))
+    return (*shapes, (size, 1), (size, outputs))
 
 
-def init_trunk(random: np.random.Generator, width: int = 256, depth: int = 8, degrees: int = POINT_DEGREES, skip: int = SKIP) -> Trunk:
-    """A trunk to start training from: Glorot-uniform kernels, zero biases; the same generator gives the same bytes."""
-    layers = []
-    for rows, columns in layer_shapes(width, depth, degrees, skip):
-        reach = np.sqrt(6 / (rows + columns))
-        kernel = random.uniform(-reach, reach, (rows, columns)).astype(np.float32)
-        layers.append(Dense(kernel, np.zeros(columns, np.float32)))
-    return tuple(layers)
+def init_trunk(
+    random: np.random.Generator,
+    width: int = 256,
+    depth: int = 8,
+    degrees: int = POINT_DEGREES,
+    skip: int = SKIP,
+    outputs: int = OUTPUTS,
+) -> Trunk:
+    """A trunk to start training from; the same generator gives the same bytes."""
+    return tuple(init_dense(random, *shape) for shape in layer_shapes(width, depth, degrees, skip, outputs))
+
+
+def init_dense(random: np.random.Generator, rows: int, columns: int) -> Dense:
+    """One layer: a kernel uniform as in Glorot and Bengio 2010 (JAXNeRF's choice), biases of 0."""
+    reach = np.sqrt(6 / (rows + columns))
+    return Dense(random.uniform(-reach, reach, (rows, columns)).astype(np.float32), np.zeros(columns, np.float32))

@@ -2,50 +2,282 @@
 
 from __future__ import annotations
 
+import difflib
 import math
-from dataclasses import dataclass
+import re
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 from ..errors import SnergError
-from .networks import Family, HashFamily, MlpFamily
+from .networks import VIEWS, Family, HashFamily, MlpFamily
+
+FAMILIES: dict[str, type[HashFamily] | type[MlpFamily]] = {"hash": HashFamily, "mlp": MlpFamily}
+MOST_BYTES = 2**31  # of one array of a step; a slip of the finger asks for more
 
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How to train.
+    """How to train. Where a default comes from is said behind it; the presets change what their sources change.
 
-    family: the network. view_dependence: without, the field is diffuse. samples: packed into one step.
-    spacing: final distance between samples on [-1, 1]; training starts with 4 times that, then twice.
-    rate, final_rate: of Adam, falling log-linearly (section 6); network_rate: factor on the networks beside the table.
-    sparsity: weight of the Cauchy loss (eq. 8), averaged over samples. alpha: weight of the alpha loss, for images with alpha.
-    seconds, steps: how long to train; the schedule spans it. seed: of everything random.
+    family: the network. ("ours": measured to train best in minutes on two cores.)
+    view_dependence: one of networks.VIEWS, or 'auto': 'deferred' (section 4.2) or 'diffuse', whichever the images call for.
+    ndc: whether a field lives in the device coordinates of its cameras (NeRF, appendix C), transparency: whether the alpha of images
+        bounds what can be where and is learned: 'on', 'off' or 'auto', as the images call for.
+    sampler: 'packed', samples at equal distances where something may be (ours), or 'hierarchical', coarse and fine networks
+        with samples drawn where the coarse one found something (NeRF, section 5.2).
+
+    Packed: samples in one step, 32768 (ours: XLA's temporaries stay under 32 MB); spacing, the final distance between them on
+        [-1, 1], 2 / 256 (ours: the voxels of a small bake); training starts with 8 times that.
+    Hierarchical: rays in one step, 8192 (section 6, synthetic scenes; 16384 for real ones); coarse, fine: samples a ray,
+        192 and 384 (section 6); distances between the coarse ones, 'linear' (NeRF), or 'disparity', linear in 1 / distance
+        (supplement C.2, real 360 degree scenes), or 'auto'; rays_at_once: of a step's rays, how many are in memory together,
+        512 (ours: the rest waits its turn, the sum is the same); opaque: the last interval of a ray reaches to infinity, as
+        JAXNeRF's does, False (it makes any haze at the far end of the scene a wall).
+
+    background: what stands behind transparent pixels: 'white' (NeRF, synthetic scenes), 'black', 'random', a new colour each ray,
+        or '#rrggbb'.
+    density_noise: standard deviation of noise on the density before its activation, 0 (NeRF, appendix A: 1 for real scenes).
+    sparsity: weight of the Cauchy loss (eq. 8; c = 1/2), averaged over samples as the reference does, 1e-5 (ours: the packed
+        samples are those of occupied cells alone; section 4.3: 1e-4, on samples of equal spacing). alpha: weight of the squared
+        error of alpha, for images with alpha, 0.1 (ours; the paper has none).
+    rate, final_rate: of Adam, falling log-linearly, 4e-2 to 8e-4 (ours; section 6: 2e-3 to 2e-5). network_rate: factor on the
+        networks beside a hash table, 1 (ours). beta_2: 0.99 (ours; JAXNeRF has Adam's 0.999). warm_up: steps in which the rate
+        rises from a tenth of itself, 64 (ours; section 6: 2500, from 2e-4). clip_value, clip_norm: gradients are cut off at the
+        one and then scaled to the other, None (ours; section 6: 0.01 each).
+    seconds, steps: how long to train, 300 seconds; the schedule spans it (section 6: 250000 steps). seed: of everything random.
     """
 
     family: Family = HashFamily()
-    view_dependence: bool = True
+    view_dependence: str = "auto"
+    ndc: str = "auto"
+    transparency: str = "auto"
+    sampler: str = "packed"
     samples: int = 32768
     spacing: float = 2 / 256
+    rays: int = 8192
+    coarse: int = 192
+    fine: int = 384
+    distances: str = "auto"
+    rays_at_once: int = 512
+    opaque: bool = False
+    background: str = "white"
+    density_noise: float = 0.0
+    sparsity: float = 1e-5
+    alpha: float = 0.1
     rate: float = 4e-2
     final_rate: float = 8e-4
     network_rate: float = 1.0
     beta_2: float = 0.99
     warm_up: int = 64
-    sparsity: float = 1e-5
-    alpha: float = 0.1
+    clip_value: float | None = None
+    clip_norm: float | None = None
     seconds: float | None = 300.0
     steps: int | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
+        _one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))
+        _one_of("ndc", self.ndc, ("auto", "on", "off"))
+        _one_of("transparency", self.transparency, ("auto", "on", "off"))
+        _one_of("sampler", self.sampler, ("packed", "hierarchical"))
+        _one_of("distances", self.distances, ("auto", "linear", "disparity"))
+        if self.background not in ("white", "black", "random") and not re.fullmatch("#[0-9a-fA-F]{6}", self.background):
+            raise SnergError(f"The setting background is {self.background!r}; give white, black, random or a colour such as #80ff00.")
+        for name, least, most in (
+            ("samples", 256, 2**24),
+            ("spacing", 1e-4, 0.5),
+            ("rays", 1, 2**20),
+            ("coarse", 2, 4096),
+            ("fine", 1, 4096),
+            ("rays_at_once", 1, 2**20),
+            ("density_noise", 0, 100),
+            ("sparsity", 0, 100),
+            ("alpha", 0, 100),
+            ("network_rate", 0, 100),
+            ("beta_2", 0, 0.999999),
+            ("warm_up", 0, 2**31),
+            ("seed", 0, 2**63 - 1),
+        ):
+            _within(name, getattr(self, name), least, most)
+        for name in ("clip_value", "clip_norm"):
+            if getattr(self, name) is not None:
+                _within(name, getattr(self, name), 1e-12, 1e12)
         if not (0 < self.final_rate <= self.rate and math.isfinite(self.rate)):
             raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, and it must not rise.")
         if self.steps is not None and self.steps < 1:
             raise SnergError(f"Training for {self.steps} steps is no training; give 1 or more.")
-        if self.steps is None and not (self.seconds is not None and self.seconds > 0):
+        if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds is no training; give a time above 0, or steps.")
+        if self.opaque and self.sampler != "hierarchical":
+            raise SnergError("An opaque background is something that only the hierarchical sampler has; set sampler=hierarchical with it.")
+        _check_family(self.family)
 
+    @classmethod
+    def from_json(cls, value: Mapping[str, Any]) -> TrainSettings:
+        """Undo `dataclasses.asdict`, also after JSON; what is missing has its default. Raises SnergError on anything else."""
+        value = dict(value)
+        family = value.pop("family", None)
+        try:
+            if family is not None:
+                value["family"] = _from_json(HashFamily if "grid" in family else MlpFamily, family, "family.")
+            return typing.cast(TrainSettings, _from_json(cls, value, ""))
+        except (TypeError, AttributeError) as error:
+            raise SnergError(f"These training settings are damaged ({error}); take a preset.") from error
+
+
+def _within(name: str, value: float, least: float, most: float) -> None:
+    if not least <= value <= most:
+        raise SnergError(f"The setting {name} is {value}; it must be from {least:g} to {most:g}.")
+
+
+def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise SnergError(f"The setting {name} is {value!r}; it must be one of {', '.join(choices)}.")
+
+
+def _check_family(family: Family) -> None:
+    _within("family.width", family.width, 1, 8192)
+    if isinstance(family, MlpFamily):
+        for name, most in (("depth", 64), ("skip", 64)):
+            _within(f"family.{name}", getattr(family, name), 1, most)
+        _within("family.degrees", family.degrees, 0, 20)
+        _one_of("family.density", family.density, ("softplus", "relu"))
+        return
+    grid = family.grid
+    for name, most in (("levels", 32), ("coarsest", 4096), ("features", 16), ("log2_size", 24)):
+        _within(f"family.grid.{name}", getattr(grid, name), 1, most)
+    _within("family.grid.finest", grid.finest, grid.coarsest, 2**16)
+    if grid.rows * grid.features * 4 > MOST_BYTES:
+        raise SnergError(
+            f"A hash grid of {grid.rows} vertices needs more than {MOST_BYTES >> 30} GiB; lower family.grid.log2_size or levels."
+        )
+
+
+def with_values(settings: TrainSettings, values: Mapping[str, str]) -> TrainSettings:
+    """Settings with some of them changed by name, as text: {"rate": "1e-3", "family.width": "256", "clip_norm": "none"}.
+
+    "family" itself is 'hash' or 'mlp' and gives that family's defaults. Raises SnergError on an unknown name or a value that
+    does not fit it. A time to train for replaces a number of steps.
+    """
+    changed: dict[str, Any] = {"steps": None} if "seconds" in values and "steps" not in values else {}
+    for name in sorted(values, key=lambda n: n.count(".")):  # the family before what it holds
+        if name == "family":
+            _one_of(name, values[name], tuple(FAMILIES))
+            changed[name] = FAMILIES[values[name]]()
+        else:
+            _put(changed, replace(settings, **({"family": changed["family"]} if "family" in changed else {})), name, values[name])
+    return replace(settings, **changed)
+
+
+def _put(changed: dict[str, Any], settings: TrainSettings, name: str, text: str) -> None:
+    """Parse the value of `name`, which may lie within the family, into `changed`."""
+    path = name.split(".")
+    holders: list[Any] = [settings]
+    for part in path[:-1]:
+        holders.append(getattr(holders[-1], part, None))
+        if not is_dataclass(holders[-1]):
+            _unknown(name, settings)
+    kinds = typing.get_type_hints(type(holders[-1]))
+    if path[-1] not in kinds or path[-1] not in {f.name for f in fields(holders[-1])} or is_dataclass(getattr(holders[-1], path[-1])):
+        _unknown(name, settings)
+    value: Any = _parsed(name, text, kinds[path[-1]])
+    for part, holder in zip(reversed(path[1:]), reversed(holders[1:]), strict=True):
+        value = replace(holder, **{part: value})
+    changed[path[0]] = value
+
+
+def _unknown(name: str, settings: TrainSettings) -> typing.NoReturn:
+    known = setting_names(settings)
+    close = difflib.get_close_matches(name, known, 3, 0.5) or known
+    raise SnergError(f"There is no setting {name!r}; did you mean {' or '.join(close)}?")
+
+
+def setting_names(settings: TrainSettings) -> list[str]:
+    """Every name that `with_values` takes for these settings: those of the family depend on which it is."""
+    return ["family", *_names(settings, "")]
+
+
+def _names(holder: Any, prefix: str) -> list[str]:
+    names: list[str] = []
+    for f in fields(holder):
+        value = getattr(holder, f.name)
+        names += _names(value, f"{prefix}{f.name}.") if is_dataclass(value) else [prefix + f.name]
+    return names
+
+
+def _kinds(kind: Any) -> tuple[Any, ...]:
+    """int | None to (int, NoneType)."""
+    return typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+
+
+def _parsed(name: str, text: str, kind: Any) -> Any:
+    kinds, low = _kinds(kind), text.strip().lower()
+    if type(None) in kinds and low in ("none", ""):
+        return None
+    try:
+        if bool in kinds:
+            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[low]
+        if str in kinds:
+            return text.strip()
+        number = float(low)
+        if int not in kinds:
+            return number
+        if number != int(number):
+            raise ValueError
+        return int(low) if low.lstrip("+-").isdigit() else int(number)
+    except (ValueError, KeyError, OverflowError):
+        wanted = "yes or no" if bool in kinds else "a whole number" if int in kinds else "a number"
+        raise SnergError(f"The setting {name} is {text!r}; it must be {wanted}{' or none' if type(None) in kinds else ''}.") from None
+
+
+def _from_json(cls: Any, value: Mapping[str, Any], prefix: str) -> Any:
+    """A dataclass from JSON values, each of the type that its field says."""
+    kinds = typing.get_type_hints(cls)
+    if unknown := sorted(set(value) - set(kinds)):
+        raise SnergError(f"There is no training setting {prefix}{unknown[0]}; these settings are another version's.")
+    return cls(**{name: _checked(prefix + name, item, kinds[name]) for name, item in value.items()})
+
+
+def _checked(name: str, value: Any, kind: Any) -> Any:
+    kinds = _kinds(kind)
+    if any(is_dataclass(k) for k in kinds):
+        return value if is_dataclass(value) else _from_json(kinds[0], value, f"{name}.")
+    if float in kinds and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        raise SnergError(f"The training setting {name} is {value!r}, which is not of its kind; take a preset.")
+    return value
+
+
+_PAPER = TrainSettings(
+    family=MlpFamily(width=512, depth=8),  # section 6: JAXNeRF+
+    view_dependence="deferred",  # section 4.2
+    sampler="hierarchical",
+    spacing=2 / 512,
+    rays=8192,  # section 6
+    coarse=192,  # section 6
+    fine=384,  # section 6
+    sparsity=1e-4,  # section 4.3
+    alpha=0.0,
+    rate=2e-3,  # section 6, as are the next five
+    final_rate=2e-5,
+    warm_up=2500,
+    clip_value=0.01,
+    clip_norm=0.01,
+    steps=250_000,
+    seconds=None,
+    beta_2=0.999,  # JAXNeRF
+)
 
 PRESETS = {
     "fast": TrainSettings(),
-    # Section 6: 8 layers of 512, learning rate 2e-3 to 2e-5, warm-up over 2500 steps; without clipping, which Adam makes idle.
-    "paper": TrainSettings(family=MlpFamily(), rate=2e-3, final_rate=2e-5, network_rate=1.0, beta_2=0.999, warm_up=2500, samples=16384),
+    # The paper's own training (section 6). It is meant for several GPUs.
+    "paper": _PAPER,
+    # JAXNeRF's sizes (supplement C.4: 64 + 128 samples a ray, 256 wide) trained as the paper trains.
+    "paper-small": replace(_PAPER, family=MlpFamily(width=256, depth=8), coarse=64, fine=128),
+    # The paper's kind of network on the packed samples of 'fast', to compare hash grids with.
+    "mlp": TrainSettings(family=MlpFamily(width=128, depth=4), rate=2e-3, final_rate=1e-4, beta_2=0.99),
 }

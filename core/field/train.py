@@ -21,7 +21,7 @@ from ..capture.dataset import Dataset
 from ..errors import Cancelled, SnergError
 from .checkpoint import read_field_and_state, write_field
 from .field import Field
-from .networks import ViewNetwork, init_field
+from .networks import ViewNetwork, init_params
 from .optimise import learning_rate, train_step, zero_moments
 from .packed import PackedScheme
 from .pixels import PixelPool
@@ -60,7 +60,7 @@ class Trainer:
         self.pool = PixelPool(images, dataset.cameras, self.domain)
         self.rng = np.random.default_rng(settings.seed)
         self.scheme = PackedScheme(settings, self.pool, self.domain, alive, self.rng)
-        self.params = jax.tree.map(jnp.asarray, init_field(settings.family, settings.view_dependence, self.rng))
+        self.params = jax.tree.map(jnp.asarray, init_params(settings.family, settings.view_dependence, False, self.rng))
         self.moments = zero_moments(self.params)
         self.step = 0
         self.elapsed = 0.0

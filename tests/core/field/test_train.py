@@ -124,18 +124,18 @@ def test_no_initialisation_is_dead():
     x = np.random.default_rng(0).uniform(-1, 1, (64, 3)).astype(np.float32)
     for family in (HashFamily(HashGrid(levels=2, log2_size=8)), MlpFamily(width=16, depth=4)):
         for seed in range(200):
-            params = init_field(family, False, np.random.default_rng(seed))
+            params = init_field(family, "diffuse", np.random.default_rng(seed))
             density, _ = field_outputs(np, family, params["field"], field_inputs(np, family, x))
             assert density.max() > 1e-3
 
 
 @pytest.mark.parametrize("family", [FAMILY, MlpFamily(width=32, depth=3)])
-@pytest.mark.parametrize("view_dependence", [True, False])
+@pytest.mark.parametrize("view_dependence", ["auto", "deferred", "diffuse", "sample", "tiny"])
 def test_every_family_takes_a_step(views, family, view_dependence):
     trainer = Trainer(views, replace(SETTINGS, family=family, view_dependence=view_dependence, steps=3))
     told = list(trainer.run())
     assert told[-1].fraction == 1 and np.isfinite(told[-1].loss)
-    assert (trainer.field().network is None) is not view_dependence
+    assert (trainer.field().network is None) is (view_dependence in ("diffuse", "sample"))
 
 
 @pytest.mark.hard_case(28)
