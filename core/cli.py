@@ -22,10 +22,11 @@ from typing import Any, NoReturn, TextIO
 from . import verbs
 from .errors import Cancelled, SnergError
 from .jobs.protocol import EXIT_ERROR, run_job
+from .progress import Progress
 
 EXIT_STOPPED = 130
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
-Work = Callable[[argparse.Namespace, verbs.Progress], dict[str, Any]]
+Work = Callable[[argparse.Namespace, Progress], dict[str, Any]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,7 +128,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 @contextmanager
-def keyboard(progress: verbs.Progress) -> Iterator[verbs.Progress]:
+def keyboard(progress: Progress) -> Iterator[Progress]:
     """Progress that raises Cancelled after Ctrl-C, so that work stops between two steps and not in the middle of one.
 
     A second Ctrl-C stops at once. Elsewhere than in the main thread the keyboard is not ours to listen to.

@@ -10,47 +10,34 @@ import json
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from .capture.camera import Camera
 from .capture.dataset import Dataset, read_dataset
-from .capture.images import over_white, png_bytes, to_uint8
+from .capture.images import png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
-from .errors import SnergError
+from .describe import Result, any_field, any_scene, folder_bytes, info, kind_of
+from .errors import SnergError, needs_jax
+from .evaluate import evaluate
 from .export.bundle import viewer_files, write_bundle
-from .export.reference import is_reference, read_params, read_reference, write_reference
-from .export.scene import is_scene, read_scene, write_scene
+from .export.reference import write_reference
+from .export.scene import write_scene
 from .field.checkpoint import is_field, read_field, write_field
-from .field.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
-from .files import MARK, check_replaceable, json_bytes, new_folder, read_json
+from .files import check_replaceable, json_bytes, new_folder
 from .grid.box import Box
-from .grid.march import Frame, MarchSettings, march, tables_of
+from .grid.march import MarchSettings, march, tables_of
 from .grid.snerg import Snerg
-from .study.metrics import mean_psnr, mse, ssim
+from .progress import Progress, silent, within
 
 if TYPE_CHECKING:
     from .field.field import Field
 
-Progress = Callable[[float, str], None]
-Result = dict[str, Any]
+__all__ = ["bake_scene", "bundle_scene", "evaluate", "export_reference", "import_source", "info", "render_views", "train_field"]
 RESOLUTION = 512
 SAMPLES = 4
-WHITE = (1.0, 1.0, 1.0)
-
-
-def silent(fraction: float, message: str, /) -> None:
-    """Progress that nobody watches."""
-
-
-def within(progress: Progress, start: float, end: float) -> Progress:
-    """Progress of a part of the work, from `start` to `end` of the whole."""
-    return lambda fraction, message: progress(start + (end - start) * min(max(fraction, 0.0), 1.0), message)
 
 
 def train_field(
@@ -115,14 +102,10 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
     """
     kind = kind_of(source)
     check_out(out, {"reference scene": "scene", "page": "scene", "checkpoint": "field"}.get(kind, kind), source)
-    if kind == "reference scene":
-        write_scene(read_reference(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
-    elif kind in ("scene", "page"):
-        write_scene(any_scene(source), out, progress)
-    elif kind == "field":
-        write_field(read_field(source), out)
-    elif kind == "checkpoint":
-        write_field(field_of(read_reference_checkpoint(source), str(source)), out)
+    if kind in ("scene", "page", "reference scene"):
+        write_scene(any_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
+    elif kind in ("field", "checkpoint"):
+        write_field(any_field(source), out)
     else:
         raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")
     progress(1.0, "Imported")
@@ -181,70 +164,6 @@ def _images_to_refine_on(field: Field) -> Dataset | None:
             f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
         )
     return read_dataset(Path(field.dataset), "train")
-
-
-def evaluate(target: Path, dataset: Path, split: str = "test", progress: Progress = silent) -> Result:
-    """Quality of a field or a scene on a dataset's split, over white: PSNR of the mean error, mean SSIM, seconds a view.
-
-    PSNR is None when every pixel agrees. Raises SnergError when `target` is neither, or the dataset is unusable.
-    """
-    views = read_dataset(dataset, split)
-    kind, render = renderer_of(target)
-    score = Score()
-    count = len(views.views)
-    for index, camera in enumerate(views.cameras):
-        began = time.perf_counter()
-        frame = render(camera, within(progress, index / count, (index + 1) / count))
-        score.add(frame.over(WHITE), over_white(views.read(index)), time.perf_counter() - began)
-        progress((index + 1) / count, f"View {index + 1} of {count}: {score.text()}")
-    return {"kind": kind, "target": str(target), "dataset": str(dataset), "split": split, **score.result()}
-
-
-class Score:
-    """Errors of the views seen so far."""
-
-    def __init__(self) -> None:
-        self.errors: list[float] = []
-        self.likeness: list[float] = []
-        self.seconds: list[float] = []
-
-    def add(self, picture: np.ndarray, truth: np.ndarray, seconds: float = 0.0) -> None:
-        """A view [H, W, 3] and what it should be."""
-        self.errors.append(mse(picture, truth))
-        self.likeness.append(ssim(picture, truth))
-        self.seconds.append(seconds)
-
-    def result(self) -> Result:
-        """{"psnr", "ssim", "seconds_per_view", "views"}; psnr is None where it is infinite (hard case 30)."""
-        decibels = mean_psnr(self.errors)
-        return {
-            "psnr": round(decibels, 4) if math.isfinite(decibels) else None,
-            "ssim": round(float(np.mean(self.likeness)), 5),
-            "seconds_per_view": round(float(np.mean(self.seconds)), 4),
-            "views": len(self.errors),
-        }
-
-    def text(self) -> str:
-        """For a progress line."""
-        decibels = mean_psnr(self.errors)
-        return f"{decibels:.2f} dB" if math.isfinite(decibels) else "identical"
-
-
-def renderer_of(target: Path) -> tuple[str, Callable[[Camera, Progress], Frame]]:
-    """("field" or "scene", a function from a camera to its picture). Raises SnergError when `target` is neither."""
-    kind = kind_of(target)
-    if kind in ("field", "checkpoint"):
-        with needs_jax():
-            import jax  # noqa: F401  # evaluating a field compiles it
-
-            from .field.render import render_field
-        field = read_field(target) if kind == "field" else field_of(read_reference_checkpoint(target), str(target))
-        return "field", lambda camera, progress: render_field(field, camera, progress)
-    if kind in ("scene", "reference scene", "page"):
-        snerg = any_scene(target)
-        tables_of(snerg)  # once a scene, not a view
-        return "scene", lambda camera, progress: march(snerg, camera, MarchSettings(), progress)
-    raise SnergError(f"{target} is a {kind}; give a field or a baked scene.")
 
 
 def render_views(
@@ -319,111 +238,6 @@ def bundle_scene(scene: Path, out: Path, cameras: Path | None = None, single_fil
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), **written}
 
 
-def info(path: Path, progress: Progress = silent) -> Result:
-    """What a dataset, field, checkpoint or scene is: its sizes, blocks, megabytes and the effects that it carries.
-
-    Raises SnergError when it is none of these.
-    """
-    kind = kind_of(path)
-    about = {
-        "dataset": _dataset_info,
-        "field": lambda p: _field_info(read_field(p)),
-        "checkpoint": lambda p: _field_info(field_of(read_reference_checkpoint(p), str(p))),
-        "scene": lambda p: _scene_info(read_scene(p)),
-        "reference scene": _reference_info,
-        "page": _page_info,
-    }[kind](path)
-    return {"kind": kind, "path": str(path), **about, "megabytes": round(folder_bytes(path) / 1e6, 3)}
-
-
-def kind_of(path: Path) -> str:
-    """'scene', 'field', 'reference scene', 'page', 'dataset' or 'checkpoint'. Raises SnergError when it is none of these."""
-    if not path.exists():
-        raise SnergError(f"{path} does not exist; check the path.")
-    if path.is_dir() and is_scene(path):
-        return "scene"
-    if (path.is_dir() and is_field(path)) or path.suffix == ".npz":
-        return "field"
-    if path.is_dir() and is_reference(path):
-        return "reference scene"
-    if (path / "index.html").is_file() and (path / MARK).is_file():
-        return "page"
-    if path.suffix == ".json" or (path.is_dir() and any(path.glob("transforms*.json"))):
-        return "dataset"
-    if find_checkpoint(path) is not None:
-        return "checkpoint"
-    raise SnergError(f"{path} is no dataset, field, checkpoint or baked scene.")
-
-
-def any_scene(path: Path) -> Snerg:
-    """A baked scene of ours, in a folder or in a web page's, or one in the reference layout."""
-    kind = kind_of(path)
-    if kind == "page" and is_scene(path / "scene"):
-        return read_scene(path / "scene")
-    if kind == "scene":
-        return read_scene(path)
-    if kind == "reference scene":
-        return read_reference(path)
-    raise SnergError(f"{path} is a {kind}, not a baked scene; bake or import one first.")
-
-
-def _dataset_info(path: Path) -> Result:
-    splits = [p.stem.removeprefix("transforms_") for p in sorted(path.glob("transforms_*.json"))] if path.is_dir() else []
-    opened = [read_dataset(path, split) for split in splits or ["train"]]
-    first = opened[0]
-    sizes = sorted({(c.width, c.height) for d in opened for c in d.cameras})
-    return {
-        "splits": {d.split: len(d.views) for d in opened},
-        "views": sum(len(d.views) for d in opened),
-        "sizes": [list(size) for size in sizes],
-        "alpha": first.read(0).shape[-1] == 4,
-        "box": first.box.to_json() if first.box else None,
-    }
-
-
-def _field_info(field: Field) -> Result:
-    box = field.domain.world_box()
-    return {
-        "family": type(field.family).__name__,
-        "views": len(field.cameras),
-        "dataset": field.dataset,
-        "steps": field.about.get("steps"),
-        "seconds": field.about.get("seconds"),
-        "box": box.to_json(),
-        "effects": {"view_dependence": field.network is not None},
-    }
-
-
-def _scene_info(snerg: Snerg) -> Result:
-    return {
-        "voxels": list(snerg.shape),
-        "voxel_size": float(snerg.voxel_size),
-        "blocks": len(snerg.cells),
-        "blocks_in_grid": int(snerg.indirection.size),
-        "memory_megabytes": round(snerg.cells.nbytes / 1e6, 3),
-        "box": snerg.box.to_json(),
-        "effects": snerg.effects,
-        "about": snerg.about,
-    }
-
-
-def _reference_info(path: Path) -> Result:
-    params = read_params(path)
-    return {"atlas_cells": list(params.atlas), **_scene_info(read_reference(path))}
-
-
-def _page_info(path: Path) -> Result:
-    if not is_scene(path / "scene"):
-        return {"single_file": True}
-    cameras = read_json(path / "cameras.json")["cameras"]
-    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_scene_info(read_scene(path / "scene"))}
-
-
-def folder_bytes(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
-    return path.stat().st_size if path.is_file() else sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
-
-
 def check_out(out: Path, kind: str, *sources: Path) -> None:
     """Raise SnergError when results of a kind could not go to `out`, or would replace what took long to make."""
     there = out.resolve()
@@ -436,14 +250,3 @@ def check_out(out: Path, kind: str, *sources: Path) -> None:
         for old, found in (("dataset", any(out.glob("transforms*.json"))), ("field", is_field(out))):
             if found and old != kind:
                 raise SnergError(f"The folder {out} holds a {old}; choose another, so that it is not replaced.")
-
-
-@contextmanager
-def needs_jax() -> Iterator[None]:
-    """Turn a missing JAX into a sentence."""
-    try:
-        yield
-    except ImportError as error:
-        if "jax" not in str(error):
-            raise
-        raise SnergError("Training and baking need JAX, which is not installed in this Python: run 'pip install jax'.") from error

@@ -25,6 +25,8 @@ import snerg
 from snerg.core.capture.dataset import Dataset, read_dataset
 from snerg.core.capture.images import over_white, to_uint8, write_png
 from snerg.core.cli import Terminal
+from snerg.core.describe import folder_bytes
+from snerg.core.evaluate import Score
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene import write_scene
@@ -38,7 +40,6 @@ from snerg.core.grid.box import Box
 from snerg.core.grid.march import march
 from snerg.core.grid.refine import RefineSettings, refine
 from snerg.core.grid.snerg import Snerg
-from snerg.core.verbs import Score, folder_bytes
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated, render_dataset
 

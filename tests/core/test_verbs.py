@@ -10,7 +10,7 @@ import pytest
 
 from flax_checkpoint import networks, tree, write
 from scenes import make_cameras, make_snerg
-from snerg.core import verbs
+from snerg.core import describe, evaluate, verbs
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.capture.images import over_white, read_image, to_uint8
 from snerg.core.capture.readers.transforms import write_transforms
@@ -87,12 +87,12 @@ def test_a_scene_is_measured_and_described(scene, dataset):
     about = verbs.info(scene)
     snerg = read_scene(scene)
     assert about["voxels"] == [40, 36, 44] and about["blocks"] == len(snerg.cells) and about["effects"] == {"view_dependence": True}
-    assert about["megabytes"] == pytest.approx(verbs.folder_bytes(scene) / 1e6, abs=1e-3)
+    assert about["megabytes"] == pytest.approx(describe.folder_bytes(scene) / 1e6, abs=1e-3)
 
 
 @pytest.mark.hard_case(30)
 def test_identical_pictures_give_no_number():
-    score = verbs.Score()
+    score = evaluate.Score()
     picture = np.random.default_rng(0).random((20, 20, 3))
     score.add(picture, picture)
     assert score.result()["psnr"] is None and score.text() == "identical"

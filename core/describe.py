@@ -1,0 +1,131 @@
+"""What lies at a path: its kind, and what there is to say of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from .capture.dataset import read_dataset
+from .errors import SnergError
+from .export.reference import is_reference, read_params, read_reference
+from .export.scene import is_scene, read_scene
+from .field.checkpoint import is_field, read_field
+from .field.field import Field
+from .field.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
+from .files import MARK, read_json
+from .grid.snerg import Snerg
+from .progress import Progress, silent
+
+Result = dict[str, Any]
+
+
+def info(path: Path, progress: Progress = silent) -> Result:
+    """What a dataset, field, checkpoint or scene is: its sizes, blocks, megabytes and the effects that it carries.
+
+    Raises SnergError when it is none of these.
+    """
+    kind = kind_of(path)
+    about = {
+        "dataset": _dataset_info,
+        "field": lambda p: _field_info(any_field(p)),
+        "checkpoint": lambda p: _field_info(any_field(p)),
+        "scene": lambda p: _scene_info(read_scene(p)),
+        "reference scene": _reference_info,
+        "page": _page_info,
+    }[kind](path)
+    return {"kind": kind, "path": str(path), **about, "megabytes": round(folder_bytes(path) / 1e6, 3)}
+
+
+def kind_of(path: Path) -> str:
+    """'scene', 'field', 'reference scene', 'page', 'dataset' or 'checkpoint'. Raises SnergError when it is none of these."""
+    if not path.exists():
+        raise SnergError(f"{path} does not exist; check the path.")
+    if path.is_dir() and is_scene(path):
+        return "scene"
+    if (path.is_dir() and is_field(path)) or path.suffix == ".npz":
+        return "field"
+    if path.is_dir() and is_reference(path):
+        return "reference scene"
+    if (path / "index.html").is_file() and (path / MARK).is_file():
+        return "page"
+    if path.suffix == ".json" or (path.is_dir() and any(path.glob("transforms*.json"))):
+        return "dataset"
+    if find_checkpoint(path) is not None:
+        return "checkpoint"
+    raise SnergError(f"{path} is no dataset, field, checkpoint or baked scene.")
+
+
+def any_scene(path: Path, progress: Progress = silent) -> Snerg:
+    """A baked scene of ours, in a folder or in a web page's, or one in the reference layout."""
+    kind = kind_of(path)
+    if kind == "page" and is_scene(path / "scene"):
+        return read_scene(path / "scene")
+    if kind == "scene":
+        return read_scene(path)
+    if kind == "reference scene":
+        return read_reference(path, progress)
+    raise SnergError(f"{path} is a {kind}, not a baked scene; bake or import one first.")
+
+
+def any_field(path: Path) -> Field:
+    """A field of ours, or the one of a reference checkpoint. Raises SnergError when `path` holds neither."""
+    if kind_of(path) == "checkpoint":
+        return field_of(read_reference_checkpoint(path), str(path))
+    return read_field(path)
+
+
+def _dataset_info(path: Path) -> Result:
+    splits = [p.stem.removeprefix("transforms_") for p in sorted(path.glob("transforms_*.json"))] if path.is_dir() else []
+    opened = [read_dataset(path, split) for split in splits or ["train"]]
+    first = opened[0]
+    sizes = sorted({(c.width, c.height) for d in opened for c in d.cameras})
+    return {
+        "splits": {d.split: len(d.views) for d in opened},
+        "views": sum(len(d.views) for d in opened),
+        "sizes": [list(size) for size in sizes],
+        "alpha": first.read(0).shape[-1] == 4,
+        "box": first.box.to_json() if first.box else None,
+    }
+
+
+def _field_info(field: Field) -> Result:
+    box = field.domain.world_box()
+    return {
+        "family": type(field.family).__name__,
+        "views": len(field.cameras),
+        "dataset": field.dataset,
+        "steps": field.about.get("steps"),
+        "seconds": field.about.get("seconds"),
+        "box": box.to_json(),
+        "effects": {"view_dependence": field.network is not None},
+    }
+
+
+def _scene_info(snerg: Snerg) -> Result:
+    return {
+        "voxels": list(snerg.shape),
+        "voxel_size": float(snerg.voxel_size),
+        "blocks": len(snerg.cells),
+        "blocks_in_grid": int(snerg.indirection.size),
+        "memory_megabytes": round(snerg.cells.nbytes / 1e6, 3),
+        "box": snerg.box.to_json(),
+        "effects": snerg.effects,
+        "about": snerg.about,
+    }
+
+
+def _reference_info(path: Path) -> Result:
+    params = read_params(path)
+    return {"atlas_cells": list(params.atlas), **_scene_info(read_reference(path))}
+
+
+def _page_info(path: Path) -> Result:
+    if not is_scene(path / "scene"):
+        return {"single_file": True}
+    cameras = read_json(path / "cameras.json")["cameras"]
+    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_scene_info(read_scene(path / "scene"))}
+
+
+def folder_bytes(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    return path.stat().st_size if path.is_file() else sum(p.stat().st_size for p in path.rglob("*") if p.is_file())
