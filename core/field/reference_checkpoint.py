@@ -116,6 +116,7 @@ def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
         occupancy=None,
         spacing=2 * REACH / SAMPLES_ACROSS,
         about={"source": source, "family": type(checkpoint.family).__name__, "steps": checkpoint.step},
+        view="deferred" if checkpoint.network else "diffuse",
     )
 
 
