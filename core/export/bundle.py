@@ -68,23 +68,11 @@ def write_data(snerg: Snerg, cameras: Sequence[Camera], folder: Path, progress: 
 
 
 def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
-    """Every camera in full: pixels from the top left corner, OpenGL camera-to-world, world units."""
+    """Every camera in full: pixels from the top left corner, OpenGL camera-to-world, world units; the page leaves distortion out."""
     return {
         "format": "snerg-cameras",
         "version": 1,
-        "cameras": [
-            {
-                "name": camera.name,
-                "projection": camera.projection,
-                "width": camera.width,
-                "height": camera.height,
-                "focal": [float(f) for f in camera.focal],
-                "centre": [float(c) for c in camera.centre],
-                "near": float(camera.near),
-                "camera_to_world": camera.camera_to_world.tolist(),
-            }
-            for camera in cameras
-        ],
+        "cameras": [camera.to_json() for camera in cameras],
     }
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.images import png_bytes, read_image
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import ViewNetwork
 from ..files import json_bytes, new_folder, read_json
@@ -19,7 +20,7 @@ from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from .codecs import PLANES, atlas_blocks, cells_from_slices, slices
 
 FORMAT = "snerg-scene"
-VERSION = 1
+VERSION = 2
 Progress = Callable[[float, str], None]
 
 
@@ -68,6 +69,7 @@ def scene_json(snerg: Snerg) -> dict[str, Any]:
         "near": float(snerg.near),
         "cells": len(snerg.cells),
         "atlas_blocks": list(atlas_blocks(len(snerg.cells))),
+        "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
         "effects": snerg.effects,
         "network_transmittance": NETWORK_TRANSMITTANCE,
         "network": None if network is None else {k: np.asarray(v, np.float64).tolist() for k, v in network._asdict().items()},
@@ -118,6 +120,7 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
         view_rotation=np.array(value["view_rotation"], np.float64),
         near=float(value["near"]),
         about=dict(value["about"]),
+        ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
     )
 
 

@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page
 
 from oracle import dense_march
-from scenes import empty_snerg, make_cameras, make_snerg, random_network, snerg_from_volume
+from scenes import empty_snerg, make_cameras, make_forward, make_forward_cameras, make_frame, make_snerg, random_network, snerg_from_volume
 from snerg.core.capture.camera import Camera
 from snerg.core.export.bundle import write_bundle
 from snerg.core.grid.march import march
@@ -23,6 +23,7 @@ Serve = Callable[[Path], str]
 TURNED = (0.2, 0.3, 0.5)
 FAR = (1e6, -2e6, 5e5)
 NAMES = [camera.name for camera in make_cameras()]
+FORWARD = [camera.name for camera in make_forward_cameras(make_frame())]
 
 
 def compare(page: Page, address: str, snerg: Snerg, camera: Camera, name: str | int) -> None:
@@ -68,6 +69,51 @@ def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tu
     moved = picture(page)
     assert np.abs(moved - march(snerg, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
+
+
+@pytest.fixture(scope="module")
+def forward(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Snerg, str]:
+    snerg = make_forward()
+    folder = tmp_path_factory.mktemp("forward") / "web"
+    write_bundle(snerg, make_forward_cameras(make_frame(), 160, 120), folder)
+    return snerg, serve(folder)
+
+
+@pytest.mark.hard_case(9, 33, 34)
+@pytest.mark.parametrize("index", range(len(FORWARD)), ids=FORWARD)
+def test_forward_facing(page: Page, forward: tuple[Snerg, str], index: int) -> None:
+    snerg, address = forward
+    compare(page, address, snerg, make_forward_cameras(make_frame(), 160, 120)[index], index)
+
+
+@pytest.mark.hard_case(6)
+@pytest.mark.parametrize(("scale", "position"), [(1.0, FAR), (1e-3, (3.0, 1.0, -2.0)), (5e3, (0.0, 0.0, 0.0))], ids=["far", "tiny", "huge"])
+def test_forward_facing_at_any_place_and_size(
+    page: Page, tmp_path: Path, serve: Serve, scale: float, position: tuple[float, float, float]
+) -> None:
+    """Without cameras the page opens at the frame; it turns with the mouse and keeps the scene."""
+    snerg = make_forward(True, scale, position)
+    write_bundle(snerg, (), tmp_path / "web")
+    camera = replace(make_forward_cameras(make_frame(scale, position), 160, 122)[0], focal=(128, 128))  # pixels are square
+    compare(page, serve(tmp_path / "web"), snerg, camera, 0)
+    page.mouse.move(60, 60)
+    page.mouse.down()
+    page.mouse.move(70, 62, steps=3)
+    page.mouse.up()
+    moved = picture(page)
+    assert np.abs(moved - march(snerg, camera).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
+
+
+def test_only_forward_facing_scenes_carry_their_code(page: Page, forward: tuple[Snerg, str], turned: tuple[Snerg, str, Path]) -> None:
+    page.add_init_script("""
+        const give = WebGL2RenderingContext.prototype.shaderSource;
+        window.sources = "";
+        WebGL2RenderingContext.prototype.shaderSource = function (shader, text) { window.sources += text; give.call(this, shader, text); };
+    """)
+    for address, there in ((forward[1], True), (turned[1], False)):
+        assert opened(page, f"{address}?width=40&height=30") is None
+        assert ("void toGrid" in page.evaluate("window.sources")) == there
 
 
 def test_diffuse_scene_fetches_no_features(page: Page, tmp_path: Path, serve: Serve) -> None:

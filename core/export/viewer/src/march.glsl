@@ -8,14 +8,15 @@ precision highp isampler3D;
 const float STOP = 1.0 / 1024.0; // the transmittance at which a ray ends
 const float EARLY = 1e-3;        // of a step: a jump may end a hair early, never late
 
-uniform vec2 focal;          // pixels of this picture (parallel rays: pixels a voxel)
+// Rays are given in voxels along the grid's axes; in a forward-facing scene along its frame's axes, in units of its near plane.
+uniform vec2 focal;          // pixels of this picture (parallel rays: pixels a unit)
 uniform vec2 centre;         // pixels from the top left corner
 uniform float height;        // pixels
 uniform bool parallel;       // an orthographic camera
-uniform vec3 eye;            // voxels
-uniform mat3 gridFromCamera; // a rotation
+uniform vec3 eye;
+uniform mat3 axesFromCamera; // a rotation
 uniform mat3 viewFromCamera; // to the axes in which the network was trained
-uniform float near;          // voxels from the eye
+uniform float near;          // units from the eye
 uniform vec3 shape;          // voxels
 uniform ivec3 blocks;
 uniform vec3 background;
@@ -37,13 +38,17 @@ void main() {
   vec2 pixel = vec2(gl_FragCoord.x, height - gl_FragCoord.y);
   vec2 plane = vec2(pixel.x - centre.x, centre.y - pixel.y) / focal;
   vec3 towards = parallel ? vec3(0.0, 0.0, -1.0) : normalize(vec3(plane, -1.0));
-  vec3 origin = parallel ? eye + gridFromCamera * vec3(plane, 0.0) : eye;
-  vec3 direction = gridFromCamera * towards;
+  vec3 origin = parallel ? eye + axesFromCamera * vec3(plane, 0.0) : eye;
+  vec3 direction = axesFromCamera * towards;
+  float begin = near;
+#ifdef NDC
+  toGrid(origin, direction, begin);
+#endif
   vec3 inverse = 1.0 / mix(direction, vec3(1e-9), lessThan(abs(direction), vec3(1e-9)));
 
   vec3 low = min(-origin * inverse, (shape - origin) * inverse);
   vec3 high = max(-origin * inverse, (shape - origin) * inverse);
-  float start = max(max(low.x, max(low.y, low.z)), near);
+  float start = max(max(low.x, max(low.y, low.z)), begin);
   float stop = min(high.x, min(high.y, high.z));
 
   vec3 rgb = vec3(0.0);

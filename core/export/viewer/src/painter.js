@@ -167,14 +167,14 @@ export class Painter {
     return true;
   }
 
-  set({ focal, centre, height, parallel, eye, gridFromCamera, viewFromCamera, near, background }) {
+  set({ focal, centre, height, parallel, eye, axesFromCamera, viewFromCamera, near, background }) {
     const { uniforms } = this.march.material;
     uniforms.focal.value.set(...focal);
     uniforms.centre.value.set(...centre);
     uniforms.height.value = height;
     uniforms.parallel.value = parallel;
     uniforms.eye.value.set(...eye);
-    uniforms.gridFromCamera.value.set(...gridFromCamera.flat());
+    uniforms.axesFromCamera.value.set(...axesFromCamera.flat());
     uniforms.viewFromCamera.value.set(...viewFromCamera.flat());
     uniforms.near.value = near;
     uniforms.background.value.set(...background);
@@ -190,7 +190,7 @@ function marchUniforms(scene, textures) {
     height: { value: 1 },
     parallel: { value: false },
     eye: { value: new Vector3() },
-    gridFromCamera: { value: new Matrix3() },
+    axesFromCamera: { value: new Matrix3() },
     viewFromCamera: { value: new Matrix3() },
     near: { value: 0 },
     shape: { value: new Vector3(...scene.shape) },

@@ -19,7 +19,7 @@ export async function readScene(name) {
   if (scene === null || typeof scene !== "object" || scene.format !== "snerg-scene") {
     throw new Problem(`The file ${name} is damaged: it does not describe a SNeRG scene. ${EXPORT_AGAIN}`);
   }
-  if (scene.version !== 1) {
+  if (scene.version !== 2) {
     throw new Problem(`The file ${name} has version ${scene.version} of the format, which this viewer does not read. ${EXPORT_AGAIN}`);
   }
   const triple = (value) => Array.isArray(value) && value.length === 3 && value.every(isCount);
@@ -34,6 +34,7 @@ export async function readScene(name) {
     cells: Number.isSafeInteger(scene.cells) && scene.cells >= 0 && scene.cells <= bx * by * bz,
     network_transmittance: Number.isFinite(scene.network_transmittance),
     network: scene.network === null || isNetwork(scene.network),
+    ndc: scene.ndc === null || isFrame(scene.ndc),
   };
   const bad = Object.keys(checks).filter((key) => !checks[key]);
   if (bad.length) throw new Problem(`The file ${name} is damaged: it has no good "${bad[0]}". ${EXPORT_AGAIN}`);
@@ -42,6 +43,10 @@ export async function readScene(name) {
 
 function isNetwork(network) {
   return typeof network === "object" && Object.entries(NETWORK_SHAPES).every(([key, shape]) => isArray(network?.[key], shape));
+}
+
+function isFrame(ndc) {
+  return isArray(ndc?.camera_to_world, [4, 4]) && isArray(ndc.focal, [2]) && [...ndc.focal, ndc.near].every((value) => value > 0 && Number.isFinite(value));
 }
 
 /** Cell numbers, or -1 where a block is empty: Int32Array, x fastest, then y, then z. */

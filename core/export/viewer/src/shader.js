@@ -1,5 +1,7 @@
-// The fragment shader, put together from what the scene carries: a diffuse scene's has no network and no feature textures.
+// The fragment shader, put together from what the scene carries: a diffuse scene's has no network and no
+// feature textures, and only a forward-facing scene's knows of device coordinates.
 import march from "./march.glsl";
+import ndc from "./ndc.glsl";
 import { CELL_VOXELS, DATA_VOXELS } from "./scene.js";
 
 const number = (value) => Math.fround(value).toExponential(9);
@@ -12,6 +14,17 @@ export function fragmentShader(scene, pages) {
   if (scene.network) {
     constants.push("#define VIEW_DEPENDENCE", `const float NETWORK_TRANSMITTANCE = ${number(scene.network_transmittance)};`);
     parts.push(lookups("feature", pages), network(scene.network));
+  }
+  if (scene.ndc) {
+    const pose = scene.grid_to_world;
+    const columns = [0, 1, 2].flatMap((i) => pose[i].slice(0, 3)); // of the inverse, whose columns are the rotation's rows
+    constants.push(
+      "#define NDC",
+      `const vec2 NDC_FOCAL = ${vector(scene.ndc.focal)};`,
+      `const mat3 GRID_FROM_NDC = mat3(${columns.map((value) => number(value / scene.voxel_size)).join(", ")});`,
+      `const vec3 NDC_CORNER = ${vector([0, 1, 2].map((i) => pose[i][3]))};`,
+    );
+    parts.push(ndc);
   }
   const at = march.indexOf("const float STOP");
   const main = march.indexOf("// How far along");

@@ -12,6 +12,13 @@ const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
 const rotationOf = (pose) => pose.slice(0, 3).map((row) => row.slice(0, 3));
 const positionOf = (pose) => pose.slice(0, 3).map((row) => row[3]);
 
+/** The camera whose picture is a forward-facing scene's device coordinates from -1 to 1. */
+function frameCamera({ camera_to_world, focal }) {
+  const [width, height] = [(1000 * focal[1]) / focal[0], 1000];
+  const centre = [width / 2, height / 2];
+  return { width, height, focal: [focal[0] * centre[0], focal[1] * centre[1]], centre, projection: "perspective", near: 0, name: "", camera_to_world };
+}
+
 /**
  * All in double precision, and orbiting in units of the box around its centre: a scene far from the origin, tiny or huge,
  * behaves like any other.
@@ -20,9 +27,13 @@ export class View {
   constructor(scene, element, onChange) {
     this.scene = scene;
     this.onChange = () => {};
-    this.axes = rotationOf(scene.grid_to_world);
-    this.corner = positionOf(scene.grid_to_world);
-    const half = scene.shape.map((voxels) => (voxels * scene.voxel_size) / 2);
+    // What the shader is given rays in: the grid's voxels, or the frame of a forward-facing scene and its near plane.
+    const pose = scene.ndc ? scene.ndc.camera_to_world : scene.grid_to_world;
+    this.axes = rotationOf(pose);
+    this.corner = positionOf(pose);
+    this.length = scene.ndc ? scene.ndc.near : scene.voxel_size;
+    // What one orbits: the box; in front of a frame, the depth that is in the middle of its device coordinates.
+    const half = scene.ndc ? [0, 0, -2 * scene.ndc.near] : scene.shape.map((voxels) => (voxels * scene.voxel_size) / 2);
     this.centre = apply(this.axes, half).map((value, i) => value + this.corner[i]);
     this.unit = 2 * Math.hypot(...half);
     this.size = [1, 1];
@@ -40,8 +51,9 @@ export class View {
     this.onChange = onChange;
   }
 
-  /** A camera that sees the whole box, from the front, the right and above. */
+  /** A camera that sees the whole box, from the front, the right and above; or a forward-facing scene's own frame. */
   overview() {
+    if (this.scene.ndc) return frameCamera(this.scene.ndc);
     const back = [0.45, -0.8, 0.4];
     const length = Math.hypot(...back);
     const z = back.map((value) => value / length);
@@ -126,22 +138,22 @@ export class View {
     const { scene, camera } = this;
     const parallel = camera.projection === "orthographic";
     const [rotation, position] = this.pose();
-    const toGrid = transpose(this.axes);
-    const gridFromCamera = multiply(toGrid, rotation);
-    let eye = apply(toGrid, subtract(position, this.corner)).map((value) => value / scene.voxel_size);
-    let near = Math.max(scene.near, camera.near) / scene.voxel_size;
-    if (parallel) [eye, near] = this.closer(eye, near, gridFromCamera);
+    const toAxes = transpose(this.axes);
+    const axesFromCamera = multiply(toAxes, rotation);
+    let eye = apply(toAxes, subtract(position, this.corner)).map((value) => value / this.length);
+    let near = Math.max(scene.near, camera.near) / this.length;
+    if (parallel && !scene.ndc) [eye, near] = this.closer(eye, near, axesFromCamera);
     const [sx, sy] = [width / this.size[0], height / this.size[1]];
     const [left, top] = this.frame;
     const zoom = this.scale * (this.exact ? 1 : this.controls.object.zoom);
-    const pixels = parallel ? zoom * scene.voxel_size : zoom;
+    const pixels = parallel ? zoom * this.length : zoom;
     return {
       focal: [camera.focal[0] * pixels * sx, camera.focal[1] * pixels * sy],
       centre: [(camera.centre[0] * this.scale + left) * sx, (camera.centre[1] * this.scale + top) * sy],
       height,
       parallel,
       eye,
-      gridFromCamera,
+      axesFromCamera,
       viewFromCamera: multiply(scene.view_rotation, rotation),
       near,
       background: this.background,
@@ -149,8 +161,8 @@ export class View {
   }
 
   /** Parallel rays may start anywhere before the box: from close by, single precision suffices. */
-  closer(eye, near, gridFromCamera) {
-    const forward = gridFromCamera.map((row) => -row[2]);
+  closer(eye, near, axesFromCamera) {
+    const forward = axesFromCamera.map((row) => -row[2]);
     const half = this.scene.shape.map((voxels) => voxels / 2);
     const slide = Math.max(0, dot(subtract(half, eye), forward) - Math.hypot(...half) - 1);
     return [eye.map((value, i) => value + slide * forward[i]), near - slide];
