@@ -41,41 +41,43 @@ class HashGrid:
 def hash_lookup(xnp: Any, grid: HashGrid, x: Any) -> tuple[Any, Any]:
     """Which vertices of the table a point needs, and with what weights.
 
-    x: [N, 3] in [0, 1]. Returns indices int32 [levels, 4, N] and weights float32 [levels, 4, N]. A cell is cut
+    x: [N, 3] in [0, 1]. Returns indices int32 [N, levels, 4] and weights float32 [N, levels, 4]. A cell is cut
     into six tetrahedra along its diagonal, so 4 vertices do where a cube needs 8, and the result is continuous.
     It depends on the points alone: compile it apart from what uses it, or XLA repeats it for every feature.
     """
-    scaled = x.T[:, None, :] * grid.resolutions.astype(np.float32)[None, :, None]
+    scaled = x[:, None, :] * grid.resolutions.astype(np.float32)[None, :, None]
     cell = xnp.floor(scaled)
-    fx, fy, fz = scaled - cell
+    fx, fy, fz = (scaled[..., axis] - cell[..., axis] for axis in range(3))
     base = cell.astype(xnp.uint32)
     highest = xnp.maximum(xnp.maximum(fx, fy), fz)
     lowest = xnp.minimum(xnp.minimum(fx, fy), fz)
     middle = fx + fy + fz - highest - lowest
-    weights = xnp.stack([1 - highest, highest - middle, middle - lowest, lowest], axis=1)
+    weights = xnp.stack([1 - highest, highest - middle, middle - lowest, lowest], axis=-1)
     # The path of four vertices steps along the axis of the largest fraction first; ties go to the earlier axis.
     order = (
         (fy > fx).astype(xnp.uint32) + (fz > fx).astype(xnp.uint32),
         (fx >= fy).astype(xnp.uint32) + (fz > fy).astype(xnp.uint32),
         (fx >= fz).astype(xnp.uint32) + (fy >= fz).astype(xnp.uint32),
     )
-    vertex = xnp.arange(4, dtype=xnp.uint32)[None, :, None]
-    corner = [b[:, None] + (o[:, None] < vertex).astype(xnp.uint32) for b, o in zip(base, order, strict=True)]
-    side = (grid.resolutions + 2).astype(np.uint32)[:, None, None]
-    dense = (corner[0] * side + corner[1]) * side + corner[2]
-    mask = np.uint32(2**grid.log2_size - 1)
-    hashed = (corner[0] ^ (corner[1] * np.uint32(PRIMES[0])) ^ (corner[2] * np.uint32(PRIMES[1]))) & mask
-    fits = ((grid.resolutions + 2) ** 3 <= 2**grid.log2_size)[:, None, None]
-    offset = (np.cumsum(grid.sizes) - grid.sizes).astype(np.uint32)[:, None, None]
-    return (xnp.where(fits, dense, hashed) + offset).astype(xnp.int32), weights
+    vertices = [vertex_index(xnp, grid, [base[..., a] + (order[a] < step) for a in range(3)]) for step in range(4)]
+    return xnp.stack(vertices, axis=-1), weights
 
 
-def hash_encode(table: Any, indices: Any, weights: Any) -> Any:
-    """table [rows, F] at `hash_lookup`'s vertices: [N, levels * F]."""
-    levels, corners, count = indices.shape
-    if isinstance(table, np.ndarray):
-        rows = table[indices.reshape(-1)]
-    else:
-        rows = table.at[indices.reshape(-1)].get(mode="promise_in_bounds")
-    features = (rows.reshape(levels, corners, count, -1) * weights[..., None]).sum(axis=1)
-    return features.transpose(1, 0, 2).reshape(count, -1)
+def vertex_index(xnp: Any, grid: HashGrid, corner: list[Any]) -> Any:
+    """Rows int32 [N, levels] of the table for vertices given by x, y, z, each [N, levels]: by place where a level fits, else hashed."""
+    side = (grid.resolutions + 2).astype(np.uint32)
+    x, y, z = (c.astype(xnp.uint32) for c in corner)
+    hashed = (x ^ (y * np.uint32(PRIMES[0])) ^ (z * np.uint32(PRIMES[1]))) & np.uint32(2**grid.log2_size - 1)
+    fits = (grid.resolutions + 2) ** 3 <= 2**grid.log2_size
+    offset = (np.cumsum(grid.sizes) - grid.sizes).astype(np.uint32)
+    return (xnp.where(fits, (x * side + y) * side + z, hashed) + offset).astype(xnp.int32)
+
+
+def hash_encode(grid: HashGrid, table: Any, indices: Any, weights: Any) -> Any:
+    """The table, flat [rows * features], at `hash_lookup`'s vertices: [N, levels * features].
+
+    Flat, because Adam takes a third of the time over one long axis that it takes over many rows of a few features.
+    """
+    rows = table.reshape(-1, grid.features)
+    found = rows[indices] if isinstance(table, np.ndarray) else rows.at[indices].get(mode="promise_in_bounds")
+    return (found * weights[..., None]).sum(axis=2).reshape(len(indices), -1)

@@ -106,7 +106,7 @@ def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str,
 
 def _init_hash(family: HashFamily, outputs: int, rng: np.random.Generator) -> dict[str, Any]:
     grid, width = family.grid, family.width
-    table = rng.uniform(-1e-4, 1e-4, (grid.rows, grid.features)).astype(np.float32)
+    table = rng.uniform(-1e-4, 1e-4, grid.rows * grid.features).astype(np.float32)
     layers = [init_dense(rng, grid.levels * grid.features, width), init_dense(rng, width, 1 + outputs)]
     return {"table": table} | {
         f"{part}_{i}": a for i, layer in enumerate(layers) for part, a in zip(("weights", "bias"), layer, strict=True)
@@ -155,7 +155,7 @@ def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[A
 def raw_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
     """`field_outputs` with the density [N] as it is before its activation."""
     if isinstance(family, HashFamily):
-        hidden = xnp.maximum(hash_encode(params["table"], *inputs) @ params["weights_0"] + params["bias_0"], 0)
+        hidden = xnp.maximum(hash_encode(family.grid, params["table"], *inputs) @ params["weights_0"] + params["bias_0"], 0)
         raw = hidden @ params["weights_1"] + params["bias_1"]
         density, values = raw[:, 0], raw[:, 1:]
     else:

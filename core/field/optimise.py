@@ -11,7 +11,8 @@ import jax.numpy as jnp
 
 from .settings import TrainSettings
 
-Loss = Callable[[Any, dict[str, Any]], tuple[Any, Any]]
+Loss = Callable[[Any, dict[str, Any]], tuple[Any, dict[str, Any]]]
+"""(loss, what else is told: the squared "error", and what the sampler learns from)."""
 NOTHING = 1e-9  # a gradient this small is none; those that teach are 1e-7 and more
 BETA_1 = 0.9
 
@@ -46,12 +47,12 @@ def zero_moments(params: Any) -> tuple[Any, Any]:
 def train_step(
     settings: TrainSettings, loss_of: Loss, params: Any, moments: Any, batch: dict[str, Any], rate: Any, step: Any
 ) -> tuple[Any, Any, Any]:
-    """One step of Adam (Kingma and Ba 2015). Returns (params, moments, (loss, squared error of colour, whether finite)).
+    """One step of Adam (Kingma and Ba 2015). Returns (params, moments, (loss, what the loss tells beside, whether finite)).
 
     A step whose loss or gradient is not finite changes nothing (hard case 26): a NaN anywhere in the table's gradient
     comes through the other arrays, so only those are looked at.
     """
-    (loss, error), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
+    (loss, told), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
     looked = [g for path, g in jax.tree_util.tree_leaves_with_path(gradient) if not _is_table(path)]
     finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in looked]).all()
     gradient = clipped(settings, gradient)
@@ -70,7 +71,7 @@ def train_step(
 
     changed = jax.tree_util.tree_map_with_path(update, params, gradient, *moments)
     p, m, v = jax.tree.transpose(jax.tree.structure(params), jax.tree.structure((0, 0, 0)), changed)
-    return p, (m, v), (loss, error, finite)
+    return p, (m, v), (loss, told, finite)
 
 
 def _is_table(path: Any) -> bool:

@@ -191,12 +191,13 @@ def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near:
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
-    distance [N] along the ray."""
+    distance [N] along the ray. cut: [R] bool, rays that were told to end before they leave the domain."""
 
     points: np.ndarray
     ray: np.ndarray
     length: float
     distance: np.ndarray
+    cut: np.ndarray
 
 
 def pack_samples(
@@ -207,18 +208,24 @@ def pack_samples(
     length: float,
     offset: np.ndarray,
     near: float | np.ndarray = 0.0,
+    far: float | np.ndarray = np.inf,
+    until: float | np.ndarray = np.inf,
 ) -> Samples:
     """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
 
-    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts.
+    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts. near, far: distances between
+    which a ray sees. until: distance at which it need not look any further.
     """
     enter, leave = clip_rays(domain, origins, directions, near)
+    leave = np.minimum(leave, far)
+    cut = until < leave
+    leave = np.minimum(leave, until)
     counts = np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64)
     ray, step = coarse_steps(occupied, origins, directions, enter, length, offset, counts)
     distance = (enter[ray] + (step + offset[ray]) * length).astype(np.float32)
     points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * distance[:, None]
     full = np.flatnonzero(occupied[cell_index(points)])
-    return Samples(points[full], ray[full], length, distance[full])
+    return Samples(points[full], ray[full], length, distance[full], cut)
 
 
 BLOCK = 8  # steps that one look at the coarse level decides on
