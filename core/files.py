@@ -117,8 +117,12 @@ def json_bytes(value: Any) -> bytes:
 
 def inside(root: Path, name: str, where: str) -> Path:
     """`root / name`, resolved. Raises SnergError when it leaves `root` (hard case 62)."""
-    root = root.resolve()
-    path = (root / name).resolve()
+    try:
+        root = root.resolve()
+        path = (root / name).resolve()
+        path.is_file()
+    except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a name too long, a zero byte
+        raise SnergError(f"{where} names {name[:200]!r}, which is no path ({error}); rename the file.") from error
     if not path.is_relative_to(root):
         raise SnergError(f"{where} names {name!r}, which lies outside {root}; keep a dataset's files in its own folder.")
     return path

@@ -97,8 +97,30 @@ class Camera:
         """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
         if self.distortion is None:
             return None
-        seen = self.distortion.sees(self._normalised(self.pixels())).reshape(self.height, self.width)
-        return None if seen.all() else seen
+        pixels = self.pixels()
+        edge = (pixels == 0).any(axis=-1) | (pixels[:, 0] == self.width - 1) | (pixels[:, 1] == self.height - 1)
+        if self.distortion.sees(self._normalised(pixels[edge])).all():
+            return None  # what a lens sees has no holes
+        return self.distortion.sees(self._normalised(pixels)).reshape(self.height, self.width)
+
+    def reduced(self, factor: int) -> Camera:
+        """The same view with squares of `factor` x `factor` pixels made one, as `images.reduced` makes them."""
+        if factor == 1:
+            return self
+        width, height = self.width // factor, self.height // factor
+        if width < 1 or height < 1:
+            raise SnergError(f"Camera {self.name!r} has {self.width} x {self.height} pixels; dividing by {factor} leaves nothing of them.")
+        focal, centre = (
+            (self.focal[0] / factor, self.focal[1] / factor),
+            (self.centre[0] / factor, self.centre[1] / factor),
+        )
+        return replace(self, width=width, height=height, focal=focal, centre=centre)
+
+    def moved(self, similarity: np.ndarray) -> Camera:
+        """The camera in a world that [4, 4] `similarity` maps this one to; its near plane moves along."""
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
+        return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, focal=focal)
 
     def _normalised(self, pixels: np.ndarray) -> np.ndarray:
         """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,25 +11,66 @@ import numpy as np
 from ..errors import SnergError
 from ..grid.box import Box
 from .camera import Camera
-from .images import read_image, read_size
+from .images import read_image, read_mask, reduced
+
+HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph or render, and the camera that took it."""
+    """One photograph or render, and the camera that took it.
+
+    mask: a picture whose black pixels are not to be learned from; with `mask_hides`, whose white ones are not (instant-ngp's
+    dynamic masks). factor: how many of the image's pixels along a side make one of the camera's.
+    """
 
     camera: Camera
     image: Path
+    mask: Path | None = None
+    mask_hides: bool = False
+    factor: int = 1
+
+
+@dataclass(frozen=True)
+class DatasetOptions:
+    """How to read a dataset.
+
+    holdout: every n-th view (0, n, 2n ...) is kept for measuring, as split 'val' or 'test', where the source has no splits of its
+    own; 0 keeps none. downscale: pictures are read this many times smaller along each side.
+    """
+
+    holdout: int = 8
+    downscale: int = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.holdout, int) or self.holdout < 0 or self.holdout == 1:
+            raise SnergError(f"Holding out every {self.holdout}-th view leaves none to train on; give 2 or more, or 0 for none.")
+        if not isinstance(self.downscale, int) or self.downscale < 1:
+            raise SnergError(f"The pictures cannot be made {self.downscale} times smaller; give a whole number from 1.")
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Views of one scene. `box` is what the source says of the scene's extent, None where it says nothing."""
+    """Views of one split of a capture.
+
+    box: what training must explain, as far as the source tells, None where it tells nothing. points [N, 3] float64 and colours
+    [N, 3] uint8: what structure from motion found. bounds: [V, 2] nearest and farthest depth a view. All in world units, after
+    `source_to_world` [4, 4], the similarity that sets photographs upright near the origin (the identity for renders).
+    kind: 'transforms', 'llff' or 'colmap'. passed_over: frames of the source that have no image.
+    """
 
     root: Path
     split: str
     views: tuple[View, ...]
     box: Box | None = None
+    points: np.ndarray | None = None
+    colours: np.ndarray | None = None
+    bounds: np.ndarray | None = None
+    source_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
+    options: DatasetOptions = DatasetOptions()
+    kind: str = "transforms"
+    split_names: tuple[str, ...] = ()
+    passed_over: int = 0
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -36,54 +78,146 @@ class Dataset:
         return tuple(view.camera for view in self.views)
 
     def read(self, index: int) -> np.ndarray:
-        """View `index` as uint8 [H, W, 3 or 4], sRGB, straight alpha."""
+        """View `index` as uint8 [H, W, 3 or 4], sRGB, straight alpha. Raises SnergError when it cannot be read any more."""
         view = self.views[index]
-        pixels = read_image(view.image)
+        pixels = reduced(read_image(view.image), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels
 
+    def mask(self, index: int) -> np.ndarray | None:
+        """Which pixels of view `index` to learn from, bool [H, W], or None for all: what its mask leaves, as far as the lens's
+        model holds. Raises SnergError when the mask cannot be read."""
+        view = self.views[index]
+        seen = view.camera.sees()
+        if view.mask is None:
+            return seen
+        white = read_mask(view.mask, view.camera.width, view.camera.height, view.mask_hides)
+        return white if seen is None else white & seen
+
+    def splits(self) -> tuple[str, ...]:
+        """The names of the splits there are, 'train' first."""
+        return self.split_names or (self.split,)
+
     def suggested_box(self) -> Box:
-        """The source's own box, or a cube around the point that the cameras look at (see `focus_box`)."""
+        """The box to train in: `box`, or a cube around the point that the cameras look at (see `focus_box`)."""
         return self.box or focus_box(self.cameras)
 
 
-def read_dataset(path: Path, split: str = "train") -> Dataset:
-    """Open a dataset folder, or one of its transforms files.
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What a reader found: all views, in the source's own world and at their images' sizes.
 
-    Raises SnergError when there is no such dataset or split, or an image is missing or unreadable.
+    splits: the numbers of the views of each split, None where the source has no splits. names: of splits that are in other files.
+    photographs: whether the world has no up and no scale of its own. half: of the cube round the source's origin that the
+    scene is said to fill. factor: how many times smaller the images are still to be made.
     """
-    from .readers.transforms import read_transforms
 
-    dataset = read_transforms(Path(path), split)
-    for view in dataset.views:
-        size = read_size(view.image)
-        if size != (view.camera.width, view.camera.height):
-            raise SnergError(
-                f"The image {view.image} is {size[0]} x {size[1]}, its camera {view.camera.width} x {view.camera.height}; they must agree."
-            )
-    return dataset
+    root: Path
+    kind: str
+    views: tuple[View, ...]
+    splits: dict[str, list[int]] | None = None
+    names: tuple[str, ...] = ()
+    box: Box | None = None
+    photographs: bool = False
+    points: np.ndarray | None = None
+    colours: np.ndarray | None = None
+    bounds: np.ndarray | None = None
+    half: float | None = None
+    factor: int = 1
+    passed_over: int = 0
 
 
-def focus_box(cameras: tuple[Camera, ...]) -> Box:
-    """A cube around what the cameras look at, as wide there as the widest view of it.
+def read_dataset(path: Path, split: str = "train", options: DatasetOptions = DatasetOptions()) -> Dataset:
+    """Open a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
 
-    The centre is the point nearest to all optical axes in the least-squares sense. Cameras that all look the
-    same way have no such point: then it lies in front of them, as far away as they are spread.
+    Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.
     """
+    source = read_source(Path(path), split, options)
+    chosen, names = _split(source, split, options)
+    if split == "train" and len(chosen) < 2:
+        raise SnergError(f"The dataset {path} has {len(chosen)} image to train on; a scene needs several, from different places.")
+    if source.photographs:
+        from .orient import orient
+
+        source, similarity = orient(source)
+    else:
+        similarity = np.eye(4)
+    views = []
+    for view in (source.views[i] for i in chosen):
+        views.append(replace(view, camera=view.camera.reduced(source.factor), factor=source.factor))
+    bounds = source.bounds[chosen] if source.bounds is not None else None
+    return Dataset(
+        root=source.root,
+        split=split,
+        views=tuple(views),
+        box=source.box,
+        points=source.points,
+        colours=source.colours,
+        bounds=bounds,
+        source_to_world=similarity,
+        options=options,
+        kind=source.kind,
+        split_names=names,
+        passed_over=source.passed_over,
+    )
+
+
+def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
+    """Whatever is at `path`, read by the reader that knows it. Raises SnergError as `read_dataset` does."""
+    from .readers import colmap, llff, transforms
+
+    if not path.exists():
+        raise SnergError(f"The dataset {path} does not exist; check the path.")
+    if transforms.is_transforms(path):
+        return transforms.read_transforms(path, split, options)
+    if llff.is_llff(path):
+        return llff.read_llff(path, options)
+    if colmap.is_colmap(path):
+        return colmap.read_colmap(path, options)
+    raise SnergError(
+        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
+    )
+
+
+def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
+    """The numbers of a split's views, and the names of all splits. Raises SnergError that lists the splits there are."""
+    everything = range(len(source.views))
+    if source.splits is not None:
+        splits, names = source.splits, source.names or tuple(source.splits)
+    elif options.holdout and len(source.views) > 2:
+        held = [i for i in everything if i % options.holdout == 0]
+        kept = [i for i in everything if i % options.holdout]
+        splits, names = {"train": kept, **dict.fromkeys(HELD_OUT, held)}, ("train", "val")
+    else:
+        splits, names = {"train": list(everything)}, ("train",)
+    if not splits.get(split):
+        raise SnergError(f"The dataset {source.root} has no split {split!r}; it has the splits {', '.join(sorted(names))}.")
+    return splits[split], tuple(sorted(names, key=lambda n: n != "train"))
+
+
+def focus(cameras: tuple[Camera, ...]) -> tuple[np.ndarray, bool]:
+    """The point [3] nearest to all optical axes in the least-squares sense, and whether there is one: cameras that all look the
+    same way have none, and it lies in front of them, as far away as twice their spread."""
     positions = np.stack([c.position for c in cameras])
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     system = across.mean(axis=0)
-    spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=-1).max()) or 1.0
     if np.linalg.eigvalsh(system)[0] > 1e-3:
-        centre = np.linalg.solve(system, np.einsum("nij,nj->i", across, positions) / len(cameras))
-    else:
-        centre = positions.mean(axis=0) + axes.mean(axis=0) * 2 * spread
+        return np.linalg.solve(system, np.einsum("nij,nj->i", across, positions) / len(cameras)), True
+    spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=-1).max()) or 1.0
+    return positions.mean(axis=0) + axes.mean(axis=0) * 2 * spread, False
+
+
+def focus_box(cameras: tuple[Camera, ...]) -> Box:
+    """A cube around what the cameras look at (see `focus`), as wide there as the median view of it."""
+    centre, _ = focus(cameras)
     halves = []
-    for camera, position in zip(cameras, positions, strict=True):
+    for camera in cameras:
         widest = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
-        distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(position - centre))
+        distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position - centre))
         halves.append(widest * distance)
     half = float(np.median(halves))
+    if not (math.isfinite(half) and half > 0):
+        raise SnergError("The cameras stand in the point that they look at; check their poses.")
     return Box.axis_aligned(centre - half, centre + half)

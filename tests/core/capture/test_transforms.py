@@ -159,8 +159,12 @@ def test_a_damaged_image(folder):
 
 
 def test_an_image_of_another_size(folder):
+    write_png(folder / "train" / "0.png", np.zeros((6, 6, 4), np.uint8))
+    small = read_dataset(folder)  # a smaller copy of the pictures works: intrinsics follow them
+    assert small.cameras[0].width == 6 and small.cameras[0].focal[0] * 2 == pytest.approx(small.cameras[1].focal[0])
     write_png(folder / "train" / "0.png", np.zeros((9, 5, 4), np.uint8))
-    assert read_dataset(folder).cameras[0].width == 5  # a smaller copy of the pictures works: intrinsics follow them
+    with pytest.raises(SnergError, match="turned or cropped"):
+        read_dataset(folder)
 
 
 @pytest.mark.hard_case(61)
