@@ -49,8 +49,13 @@ class PublishedViewer:
         assert sum(map(len, planes)) == depth
         return np.concatenate(planes).transpose(2, 1, 0, 3) / 255
 
-    def show(self, camera_to_viewer: np.ndarray, size: tuple[int, int], fov_degrees: float, near: float = 0.33) -> np.ndarray:
-        """[H, W, 3] in [0, 1] from a camera in the viewer's own world: OpenGL pose [4, 4], (width, height), vertical field of view."""
+    def show(
+        self, camera_to_viewer: np.ndarray, size: tuple[int, int], fov_degrees: float, near: float = 0.33, fault: bool = True
+    ) -> np.ndarray:
+        """[H, W, 3] in [0, 1] from a camera in the viewer's own world: OpenGL pose [4, 4], (width, height), vertical field of view.
+
+        fault: leave in what it computes wrongly of NDC rays, whose origins are origin * t + direction.
+        """
         width, height = size
         scale = np.tan(np.radians(fov_degrees) / 2)
         row, column = np.mgrid[0:height, 0:width]
@@ -60,9 +65,24 @@ class PublishedViewer:
         rays = local @ camera_to_viewer[:3, :3].T
         start = camera_to_viewer[:3, 3] + near * rays  # on the near plane
         directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-        return self.march(start, directions, near).reshape(height, width, 3)
+        looking = directions
+        if self.params["ndc"]:
+            start, directions = self.device(start * [1, 1, -1], directions * [1, 1, -1], fault)
+            near = 0.0
+        return self.march(start, directions, near, looking).reshape(height, width, 3)
 
-    def march(self, origins: np.ndarray, directions: np.ndarray, near: float) -> np.ndarray:
+    def device(self, origins: np.ndarray, directions: np.ndarray, fault: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Rays with z turned round to NDC with z turned round; x comes out turned round too."""
+        t = (-(1 + origins[:, 2]) / directions[:, 2])[:, None]
+        ox, oy, oz = (origins * t + directions if fault else origins + directions * t).T
+        dx, dy, dz = directions.T
+        p = self.params
+        x, y = 2 * p["input_focal"] / p["input_width"], -2 * p["input_focal"] / p["input_height"]
+        start = np.stack([x * ox / oz, y * oy / oz, -1 - 2 / oz], axis=-1)
+        along = np.stack([x * (dx / dz - ox / oz), y * (dy / dz - oy / oz), 2 / oz], axis=-1)
+        return start, along / np.linalg.norm(along, axis=-1, keepdims=True)
+
+    def march(self, origins: np.ndarray, directions: np.ndarray, near: float, looking: np.ndarray) -> np.ndarray:
         origin = (origins - self.low) / self.voxel
         enters, leaves = slab(origin, directions, np.zeros(3), self.grid)
         t = np.maximum(near / self.voxel, enters) + 0.5
@@ -85,7 +105,7 @@ class PublishedViewer:
         if self.diffuse:
             return np.clip(result, 0, 1)
         seen = through <= 254 / 255
-        result[seen] += self.network(result[seen], features[seen], directions[seen] @ self.view.T)
+        result[seen] += self.network(result[seen], features[seen], looking[seen] @ self.view.T)
         return np.clip(result, 0, 1)
 
     def composite(self, rays, local, place, colour, features, through) -> None:

@@ -2,6 +2,10 @@
 
 The viewer's world is the grid's own axes, y up. It starts at (0, 1, -4) looking at the origin with its near plane at
 0.33, and asks the network about M d, M the upper 3 x 3 of worldspace_T_opengl and d a direction along the grid's axes.
+
+A forward-facing scene ("ndc") lies in device coordinates with z turned round, near at 1. There the viewer looks along its z
+with x to the left, so that a direction in the axes of the frame is diag(-1, 1, -1) d. Where its rays meet the near plane it
+computes origin * t + direction for origin + t * direction (hard case 10): its perspective is a little off, with any such file.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ import numpy as np
 
 from ..capture.camera import Camera, focal_from_angle, rigid
 from ..capture.images import png_bytes, read_image
+from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
 from ..files import json_bytes, new_folder, read_json
@@ -33,18 +38,23 @@ OURS = "snerg_for_blender"  # our own key in scene_params.json: what the layout 
 SIDES = (1.0, 4.0)  # longest sides that the viewer's first view shows well; others are scaled to FITTED
 FITTED = 2.0
 UPRIGHT = np.array([[-1, 0, 0], [0, 0, 1], [0, 1, 0]])  # viewer axes to world: it starts out at Blender's front view
+SAME = np.eye(3, dtype=int)
+FLIP = np.diag([1, 1, -1])  # device coordinates to the layout's
+FACING = np.diag([-1, 1, -1])  # the axes of a forward-facing viewer to those of the frame
+AHEAD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # a frame that looks along the world's y, z up
 KERNELS = ("0_weights", "0_bias", "1_weights", "1_bias", "2_weights", "2_bias")  # in ViewNetwork's order
 
 
 def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, progress: Progress = lambda fraction, what: None) -> None:
     """Write scene_params.json, atlas_indices.png, rgba_NNN.png and feature_NNN.png, whole or not at all.
 
-    camera: gives the picture's size and focal length that the layout records (the viewer uses them for NDC scenes only).
-    The viewer's fixed near plane and white background stand in place of the scene's. Raises SnergError when the scene is
-    larger than the viewer's textures or the folder cannot be written.
+    camera: gives the picture's size and focal length that the layout records (the viewer uses them for NDC scenes only, and
+    for those they are the frame's). The viewer's fixed near plane and white background stand in place of the scene's. Raises
+    SnergError when the scene is larger than the viewer's textures, or forward-facing with a turned box, or the folder cannot
+    be written.
     """
     check_fits(snerg)
-    turned = reorient(snerg, viewer_axes(snerg.grid_to_world[:3, :3]))
+    turned = for_viewer(snerg)
     with new_folder(folder) as temporary:
         (temporary / "scene_params.json").write_bytes(json_bytes(scene_params(snerg, turned, camera)))
         (temporary / "atlas_indices.png").write_bytes(png_bytes(index_picture(turned)))
@@ -57,6 +67,18 @@ def check_fits(snerg: Snerg) -> None:
         most = MAX_BLOCKS * DATA_VOXELS
         raise SnergError(f"The scene is {max(snerg.shape)} voxels long; the reference layout holds {most}: bake at a lower resolution.")
     atlas_blocks(int((snerg.indirection >= 0).sum()))
+
+
+def for_viewer(snerg: Snerg) -> Snerg:
+    """The scene along the viewer's axes; a forward-facing one in the layout's device coordinates."""
+    rotation = snerg.grid_to_world[:3, :3]
+    if snerg.ndc is None:
+        return reorient(snerg, viewer_axes(rotation))
+    if np.abs(np.rint(rotation) - rotation).max() > 1e-9:
+        raise SnergError(
+            "The scene is forward-facing and its box is turned, which the reference layout has no room for: bake it without a box."
+        )
+    return reorient(snerg, np.rint(rotation.T @ FLIP).astype(int), FLIP)
 
 
 def viewer_axes(rotation: np.ndarray) -> np.ndarray:
@@ -76,15 +98,17 @@ def _turns() -> Iterable[np.ndarray]:
             yield turn
 
 
-def reorient(snerg: Snerg, turn: np.ndarray) -> Snerg:
-    """The same scene in the world with its grid along other axes: column j of `turn` is new axis j in the old ones.
+def reorient(snerg: Snerg, turn: np.ndarray, flip: np.ndarray = SAME) -> Snerg:
+    """The same scene with its grid along other axes: column j of `turn` is new axis j in the old ones.
 
-    A flipped axis is padded to whole blocks, so that cells flip as they are. Cells are numbered x, y, z with z fastest.
+    flip: [3, 3] from the world that the grid stands in to the one of the result; it mirrors where `turn` does. A flipped axis is
+    padded to whole blocks, so that cells flip as they are. Cells are numbered x, y, z with z fastest.
     """
     order, signs = np.abs(turn).argmax(axis=0), turn.sum(axis=0)
     flipped = [axis for axis in range(3) if signs[axis] < 0]
     shape = [int(snerg.shape[axis]) for axis in order]
     pose = snerg.grid_to_world.copy()
+    pose[:3] = flip @ pose[:3]
     pose[:3, :3] = pose[:3, :3] @ turn
     for axis in flipped:
         shape[axis] = -(-shape[axis] // DATA_VOXELS) * DATA_VOXELS
@@ -101,15 +125,14 @@ def reorient(snerg: Snerg, turn: np.ndarray) -> Snerg:
 def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str, Any]:
     """What scene_params.json holds; `turned` is `snerg` along the viewer's axes.
 
-    The box's centre is the viewer's origin. Where the scene was trained in the world's axes and is not scaled,
+    The box's centre is the viewer's origin, but in device coordinates. Where the scene was trained in the world's axes and is not scaled,
     worldspace_T_opengl takes the viewer's points to the world.
     """
     scale = viewer_scale(snerg)
     voxel_size = turned.voxel_size * scale
-    axes, centre = turned.grid_to_world[:3, :3], snerg.box.box_to_world[:3, 3]
-    corner = (turned.grid_to_world[:3, 3] - centre) @ axes * scale
+    corner, axes, origin = viewer_place(snerg, turned, scale)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = snerg.view_rotation @ axes, snerg.view_rotation @ centre
+    pose[:3, :3], pose[:3, 3] = snerg.view_rotation @ axes, snerg.view_rotation @ origin
     blocks = atlas_blocks(len(turned.cells))
     atlas = [n * CELL_VOXELS for n in blocks]
     params: dict[str, Any] = {
@@ -120,9 +143,9 @@ def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str
         "num_slices": atlas[2] // PLANES,
         **dict(zip(("min_x", "min_y", "min_z"), corner.tolist(), strict=True)),
         **dict(zip(("atlas_blocks_x", "atlas_blocks_y", "atlas_blocks_z"), blocks, strict=True)),
-        **picture_params(camera),
+        **(picture_params(camera) if snerg.ndc is None else frame_params(snerg.ndc)),
         "worldspace_T_opengl": pose.tolist(),
-        "ndc": False,
+        "ndc": snerg.ndc is not None,
         "format": "png",
     }
     if snerg.network is not None:
@@ -133,14 +156,31 @@ def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str
         "voxel_size": float(snerg.voxel_size),
         "shape": list(snerg.shape),
         "near": float(snerg.near),
-        "viewer_axes": (np.rint(snerg.grid_to_world[:3, :3].T @ axes)).astype(int).tolist(),
+        "viewer_axes": np.rint(snerg.grid_to_world[:3, :3].T @ flip_of(snerg.ndc) @ turned.grid_to_world[:3, :3]).astype(int).tolist(),
         "about": snerg.about,
+        "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
     }
     return params
 
 
+def flip_of(ndc: Ndc | None) -> np.ndarray:
+    """[3, 3] from the world of a scene's grid to that of the layout's."""
+    return SAME if ndc is None else FLIP
+
+
+def viewer_place(snerg: Snerg, turned: Snerg, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The grid's corner in the viewer's world, the viewer's axes [3, 3] in ours, and its origin in ours."""
+    pose = turned.grid_to_world
+    if snerg.ndc is not None:
+        return pose[:3, 3], snerg.ndc.camera_to_world[:3, :3] @ FACING, snerg.ndc.camera_to_world[:3, 3]
+    centre = snerg.box.box_to_world[:3, 3]
+    return (pose[:3, 3] - centre) @ pose[:3, :3] * scale, pose[:3, :3], centre
+
+
 def viewer_scale(snerg: Snerg) -> float:
     """Viewer units a world unit: 1, but for a scene that the viewer's fixed camera would start inside of or miss."""
+    if snerg.ndc is not None:
+        return 1.0
     side = float(snerg.box.size.max())
     return 1.0 if SIDES[0] <= side <= SIDES[1] else FITTED / side
 
@@ -150,6 +190,12 @@ def picture_params(camera: Camera | None) -> dict[str, float]:
     if camera is None:
         return {"input_height": 720.0, "input_width": 1280.0, "input_focal": focal_from_angle(math.radians(35), 720, "The viewer")}
     return {"input_height": float(camera.height), "input_width": float(camera.width), "input_focal": float(camera.focal[0])}
+
+
+def frame_params(ndc: Ndc) -> dict[str, float]:
+    """input_height, input_width and input_focal of a frame: only their ratios count."""
+    focal = 500 * ndc.focal[0]
+    return {"input_height": 2 * focal / ndc.focal[1], "input_width": 1000.0, "input_focal": focal}
 
 
 def index_picture(snerg: Snerg) -> np.ndarray:
@@ -166,6 +212,7 @@ class ReferenceParams:
 
     voxel_size: viewer units. shape: voxels (x, y, z). low: [3] the grid's corner, viewer units. atlas: cells along x, y, z.
     pose: [4, 4] rigid, worldspace_T_opengl. network: None in a diffuse scene. ours: what `write_reference` added, or {}.
+    ndc: of a forward-facing scene. Its pose takes the axes of the frame to those in which the network was trained.
     """
 
     voxel_size: float
@@ -175,6 +222,7 @@ class ReferenceParams:
     pose: np.ndarray
     network: ViewNetwork | None
     ours: dict[str, Any]
+    ndc: Ndc | None
 
 
 def is_reference(folder: Path) -> bool:
@@ -185,20 +233,26 @@ def is_reference(folder: Path) -> bool:
 def read_reference(folder: Path, progress: Progress = lambda fraction, what: None) -> Snerg:
     """Read a scene in the reference layout.
 
-    A scene of another tool stands in the world where worldspace_T_opengl puts it; one of ours where it was, exactly.
+    A scene of another tool stands in the world where worldspace_T_opengl puts it, a forward-facing one along y with near at 1;
+    one of ours where it was, exactly.
     Raises SnergError that names the file and what is wrong with it.
     """
     path = folder / "scene_params.json"
     params = read_params(folder)
     places, indirection = read_indices(folder, params)
     cells = read_atlas(folder, params, places, progress)
-    axes = params.pose[:3, :3]
-    pose = params.pose.copy()
+    axes = params.pose[:3, :3] if params.ndc is None else np.eye(3)
+    pose = params.pose.copy() if params.ndc is None else np.eye(4)
     pose[:3, 3] += axes @ params.low
     about = {"source": "reference", "path": str(folder)}
     snerg = Snerg(pose, params.voxel_size, params.shape, indirection, cells, params.network, about=about)
     try:
-        return restore(snerg, params.ours) if params.ours else snerg
+        if params.ours:
+            return restore(snerg, params.ours)
+        if params.ndc is None:
+            return snerg
+        view = params.pose[:3, :3] @ params.ndc.camera_to_world[:3, :3].T
+        return replace(reorient(snerg, FLIP, FLIP), ndc=params.ndc, view_rotation=view)
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(
             f"{path} has a damaged {OURS!r} ({type(error).__name__}: {error}); export it again, or delete that key."
@@ -211,7 +265,8 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
     if turn.shape != (3, 3) or not np.array_equal(turn @ turn.T, np.eye(3)) or turn.dtype.kind != "i":
         raise ValueError("viewer_axes is not a turn of a cube")
     x, y, z = (int(n) for n in ours["shape"])
-    turned = reorient(snerg, turn.T)
+    ndc = None if ours["ndc"] is None else Ndc.from_json(ours["ndc"])
+    turned = reorient(snerg, turn.T, flip_of(ndc))
     if blocks_of((x, y, z)) != turned.indirection.shape:
         raise ValueError(f"shape is {(x, y, z)} where the grid is {turned.shape}")
     return replace(
@@ -222,6 +277,7 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
         shape=(x, y, z),
         near=float(ours["near"]),
         about=dict(ours["about"]),
+        ndc=ndc,
     )
 
 
@@ -240,8 +296,6 @@ def read_params(folder: Path) -> ReferenceParams:
 
 
 def _params(value: dict[str, Any]) -> ReferenceParams:
-    if value["ndc"]:
-        raise ValueError("it is a forward-facing scene in NDC coordinates, which SNeRG does not read yet")
     if value["format"] != "png":
         raise ValueError(f"its images are of format {value['format']!r}; only 'png' is read")
     if int(value["block_size"]) != DATA_VOXELS:
@@ -259,9 +313,10 @@ def _params(value: dict[str, Any]) -> ReferenceParams:
         shape=(x, y, z),
         low=np.array([_finite(value, f"min_{axis}") for axis in "xyz"]),
         atlas=(ax, ay, az),
-        pose=_pose(value["worldspace_T_opengl"]),
+        pose=_facing(value["worldspace_T_opengl"]) if value["ndc"] else _pose(value["worldspace_T_opengl"]),
         network=_network(value) if "0_bias" in value else None,
         ours=ours if isinstance(ours, dict) else {},
+        ndc=_frame(value) if value["ndc"] else None,
     )
 
 
@@ -287,6 +342,21 @@ def _pose(rows: Any) -> np.ndarray:
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise ValueError("worldspace_T_opengl scales, shears or mirrors; only a rotation and a translation can be used")
     return pose
+
+
+def _facing(rows: Any) -> np.ndarray:
+    """From the axes of a frame to the network's. What the reference writes is the turning round of its grid, not of directions."""
+    matrix = np.array(rows, np.float64)
+    if matrix.shape == (4, 4) and np.array_equal(matrix[:3, :3], FLIP):
+        return np.eye(4)
+    pose = _pose(rows)
+    pose[:3, :3] = pose[:3, :3] @ FACING
+    return pose
+
+
+def _frame(value: dict[str, Any]) -> Ndc:
+    focal, width, height = (_finite(value, f"input_{key}", positive=True) for key in ("focal", "width", "height"))
+    return Ndc(AHEAD, (2 * focal / width, 2 * focal / height), 1.0)
 
 
 def _network(value: dict[str, Any]) -> ViewNetwork:

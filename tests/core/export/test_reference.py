@@ -2,15 +2,17 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from published_viewer import PublishedViewer
-from scenes import empty_snerg, looking, make_snerg, rotation, snerg_from_volume
+from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
 from snerg.core.capture.camera import Camera, focal_from_angle
 from snerg.core.capture.images import read_image
+from snerg.core.capture.ndc import Ndc
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import OURS, read_indices, read_params, read_reference, reorient, viewer_axes, write_reference
 from snerg.core.grid.march import march
@@ -63,6 +65,70 @@ def test_the_published_viewer_shows_what_the_marcher_shows(tmp_path, place, diff
         # The viewer re-phases its steps behind empty blocks and loses faint voxels: the sheet and the rims differ.
         assert difference.mean() < 2
         assert (difference.max(axis=-1) < 8).mean() > 0.88
+
+
+FACING = np.diag([-1, 1, -1, 1])  # a forward-facing viewer's world to the frame's axes
+
+
+def forward_camera(frame: Ndc, to_viewer: np.ndarray) -> Camera:
+    """The camera of the world that stands where one of the viewer's does."""
+    pose = FACING @ to_viewer
+    pose[:3, 3] *= frame.near
+    return centred_camera(frame.camera_to_world @ pose, 128, 96)
+
+
+@pytest.mark.hard_case(9, 10)
+@pytest.mark.parametrize("diffuse", [False, True], ids=["network", "diffuse"])
+@pytest.mark.parametrize("angles", [(0, 0, 0), (0, np.pi / 2, 0), (np.pi / 2, np.pi, 0)])
+def test_forward_facing_scenes_in_the_published_viewer(tmp_path, angles, diffuse):
+    frame = make_frame()
+    snerg = make_snerg((44, 40, 57), diffuse, fog=False, angles=angles, size=1.4, ndc=frame)
+    write_reference(snerg, tmp_path / "out")
+    viewer = PublishedViewer(tmp_path / "out")
+    for eye in ((0.0, 0.0, -0.3), (0.12, -0.05, -0.25)):
+        to_viewer = looking(eye, (0, 0, 0))
+        to_viewer[:3, :3] = to_viewer[:3, :3] @ rotation((0, 0, np.arctan2(to_viewer[0, 1], to_viewer[1, 1])))  # y up, not z
+        ours = march(snerg, forward_camera(frame, to_viewer)).over()
+        assert ours.std() > 0.1
+        exact = np.abs(ours - viewer.show(to_viewer, (128, 96), FOV, fault=False)) * 255
+        assert exact.mean() < 3 and (exact.max(axis=-1) < 8).mean() > 0.88  # its steps behind empty blocks, as above
+        assert np.abs(ours - viewer.show(to_viewer, (128, 96), FOV)).mean() * 255 < 20  # its own perspective is a little off
+
+
+@pytest.mark.parametrize("diffuse", [False, True])
+def test_forward_facing_round_trip_is_exact(tmp_path, diffuse):
+    snerg = make_snerg((44, 40, 57), diffuse, angles=(0, np.pi / 2, 0), size=1.4, ndc=make_frame(), near=0.2)
+    write_reference(snerg, tmp_path / "out")
+    back = read_reference(tmp_path / "out")
+    same(back, Snerg(**(vars(snerg) | {"view_rotation": back.view_rotation})))
+    assert np.allclose(back.view_rotation, snerg.view_rotation, rtol=0, atol=1e-15)
+    assert back.ndc is not None and back.ndc.to_json() == Ndc.from_json(make_frame().to_json()).to_json()
+
+
+@pytest.mark.parametrize("published", [True, False])
+def test_forward_facing_scenes_of_other_tools(tmp_path, published):
+    """Without our key: along y, near at 1; the same picture from the same place. The published matrix says how the grid is turned."""
+    frame = make_frame()
+    snerg = replace(make_snerg((44, 40, 60), size=1.4, ndc=frame), view_rotation=frame.camera_to_world[:3, :3].T)
+    write_reference(snerg, tmp_path / "out")
+    path = tmp_path / "out" / "scene_params.json"
+    params = json.loads(path.read_text())
+    del params[OURS]
+    if published:
+        params["worldspace_T_opengl"] = np.diag([1, 1, -1, 1]).tolist()
+    path.write_text(json.dumps(params))
+    back = read_reference(tmp_path / "out")
+    assert back.ndc is not None and back.ndc.near == 1 and np.allclose(back.ndc.focal, frame.focal)
+    to_viewer = np.diag([-1.0, 1, -1, 1])
+    to_viewer[2, 3] = -0.2
+    there, here = (march(s, forward_camera(s.ndc, to_viewer)).over() for s in (back, snerg))
+    assert np.abs(there - here).max() < 1 / 255
+
+
+def test_a_turned_forward_facing_box_is_refused(tmp_path):
+    with pytest.raises(SnergError, match="box is turned"):
+        write_reference(make_forward(), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_viewer_opens_at_blenders_front_view(tmp_path):
@@ -189,7 +255,8 @@ DAMAGE = {
     "no weights": (lambda p: p.pop("1_weights"), "1_weights"),
     "NaN weights": (lambda p: p["1_weights"][3].__setitem__(2, float("nan")), "1_weights"),
     "short bias": (lambda p: p["2_bias"].pop(), "2_bias"),
-    "ndc": (set_to("ndc", True), "NDC"),
+    "a frame without focal length": (lambda p: p.update(ndc=True, input_focal=0.0), "input_focal is 0"),
+    "a mirrored viewer": (lambda p: p.update(ndc=True, worldspace_T_opengl=np.diag([-1, 1, 1, 1]).tolist()), "mirrors"),
     "another format": (set_to("format", "jpeg"), "jpeg"),
     "another block size": (set_to("block_size", 32), "32"),
     "infinite voxels": (set_to("voxel_size", float("inf")), "voxel_size"),
