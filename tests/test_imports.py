@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-JAX_MODULES = {f"snerg.core.{name}" for name in ("field.optimise", "field.packed", "field.train", "grid.refine")}
+JAX_MODULES = {
+    f"snerg.core.{name}"
+    for name in ("field.optimise", "field.packed", "field.parallel", "field.train", "field.trial", "field.trust", "grid.refine")
+}
 
 BLOCK_AND_IMPORT = """
 import sys

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,15 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import SnergError
+from .ends import DARK, LEFT, RayEnds
+from .field import in_chunks
+from .held_out import Rays, packed_colours
 from .losses import backgrounds, cauchy, over
 from .networks import density_of, field_inputs, field_outputs, raw_outputs
 from .pixels import PixelPool
 from .sampling import Domain, Occupancy, pack_samples
 from .settings import TrainSettings
 from .shading import ray_colour, sample_values
-from .volume import composite, optical_depth
+from .volume import composite, depth_before, optical_depth
 
-MOST_RAYS = 8192  # in a step
+MARGIN = 2  # samples that a ray takes past the end of its tile
 UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may be given up
@@ -35,6 +39,15 @@ class Batch:
     rays: int
 
 
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """The rays of a batch: tile [rays drawn], and of each of its samples the ray [N] and the distance along it [N]."""
+
+    tile: np.ndarray
+    ray: np.ndarray
+    distance: np.ndarray
+
+
 class PackedScheme:
     """Draws rays, packs samples of what may hold something, and learns where that is."""
 
@@ -42,16 +55,20 @@ class PackedScheme:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = self.occupancy.occupied
+        self.ends = RayEnds(pool)
+        self.most_rays = max(settings.samples // 8, 64)
         self.samples_per_ray = 32.0
         self._inputs = jax.jit(partial(field_inputs, jnp, settings.family))
-        self._density = jax.jit(lambda params, inputs: field_outputs(jnp, settings.family, params, inputs)[0])
+        self._outputs = jax.jit(partial(field_outputs, jnp, settings.family))
 
     def spacing(self, fraction: float) -> float:
         """Distance between samples: coarse first, so that a step sees many rays while the shape is still rough."""
         return self.settings.spacing * next(factor for until, factor in SPACINGS if fraction < until)
 
-    def learn(self, params: Any, step: int) -> None:
-        """Now and then ask the field where something is, and give up cells with an opacity under 0.01 over one final interval."""
+    def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
+        """Learn from a step where its rays ended; now and then ask the field where something is, and give up cells with an
+        opacity under 0.01 over one final interval."""
+        self._learn_ends(told)
         if step % UPDATE_EVERY and step not in (16, 32):
             return
         self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
@@ -60,85 +77,107 @@ class PackedScheme:
         self.occupied = self.occupancy.occupied
 
     def density(self, params: Any, x: np.ndarray) -> np.ndarray:
-        """Density [N] at field coordinates [N, 3], in chunks of one shape."""
-        size = self.settings.samples
-        found = np.empty(len(x), np.float32)
-        for start in range(0, len(x), size):
-            part = x[start : start + size]
-            padded = np.zeros((size, 3), np.float32)
-            padded[: len(part)] = part
-            found[start : start + len(part)] = np.asarray(self._density(params["field"], self._inputs(padded)))[: len(part)]
-        return found
+        """Density [N] at field coordinates [N, 3]."""
+        field = params["field"]
+        return in_chunks(lambda part: self._outputs(field, self._inputs(part))[:1], x, self.settings.samples)[0]
 
-    def batch(self, fraction: float) -> Batch:
-        """A step's rays and packed samples."""
-        size = self.settings.samples
-        draw = int(min(size / self.samples_per_ray, MOST_RAYS - 1))
+    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+        """Colours [R, 3] of rays over white, at the present spacing."""
+        field = params["field"]
+
+        def evaluate(x: np.ndarray) -> tuple[np.ndarray, ...]:
+            return in_chunks(lambda part: self._outputs(field, self._inputs(part)), x, self.settings.samples)
+
+        return packed_colours(self.settings, self.domain, self.occupied, self.spacing(fraction), evaluate, params, rays)
+
+    def batch(self, params: Any, fraction: float) -> Batch:
+        """A step's rays and packed samples. Rays are whole: from where they enter to where their tile says that light ends."""
+        size, most, length = self.settings.samples, self.most_rays, self.spacing(fraction)
+        draw = int(min(size / self.samples_per_ray, most - 1))
         index = self.pool.draw(draw, self.rng)
-        origin, direction, near, *_ = self.pool.rays(index)
-        got = pack_samples(self.domain, self.occupied, origin, direction, self.spacing(fraction), self.rng.random(draw), near)
+        origin, direction, near, far, looking = self.pool.rays(index)
+        tile = self.ends.tile(index)
+        until = self.ends.reach[tile] + MARGIN * length
+        got = pack_samples(self.domain, self.occupied, origin, direction, length, self.rng.random(draw), near, far, until)
         self.samples_per_ray = 0.7 * self.samples_per_ray + 0.3 * max(len(got.ray), 1) / draw
-        # Whole rays only. None is cut short where the occupancy grid takes it to be opaque: such guesses end a few rays in
-        # front of surfaces, what shines through is made up for by more density there, and that feeds on itself.
         count = len(got.ray) if len(got.ray) <= size else int(np.searchsorted(got.ray, got.ray[size]))
-        points = np.zeros((size, 3), np.float32)
-        points[:count] = got.points[:count]
-        ray = np.full(size, MOST_RAYS - 1, np.int32)
-        ray[:count] = got.ray[:count]
-        directions = np.zeros((MOST_RAYS, 3), np.float32)
-        directions[:, 2] = 1
-        directions[:draw] = direction
-        target = np.zeros((MOST_RAYS, 4), np.uint8)
-        target[:draw] = self.pool.pixels[index]
-        used = np.zeros(MOST_RAYS, bool)
-        used[ray[:count]] = True
         if not count and not self.occupied.any():
             raise SnergError("The field has become empty everywhere; check that the images show something inside the box.")
+        ray = filled(size, got.ray[:count], most - 1)
+        used = np.zeros(most, bool)
+        used[ray[:count]] = True
+        self.drawn = Drawn(tile, got.ray[:count], got.distance[:count])
         arrays = {
-            "inputs": self._inputs(points),
+            "inputs": self._inputs(filled(size, got.points[:count])),
             "ray": ray,
             "valid": np.arange(size) < count,
-            "directions": directions,
-            "target": target,
+            "directions": filled(most, looking.astype(np.float32), [0, 0, 1]),
+            "target": filled(most, self.pool.pixels[index]),
             "used": used,
+            "cut": filled(most, got.cut),
             "length": np.float32(got.length),
+            "count": np.float32(max(count, 1)),
+            "rays": np.float32(max(used.sum(), 1)),
         }
         if self.settings.background != "white":
-            arrays["background"] = backgrounds(self.settings.background, MOST_RAYS, self.rng)
+            arrays["background"] = backgrounds(self.settings.background, most, self.rng)
         if self.settings.density_noise:
             arrays["noise"] = self.rng.standard_normal(size, np.float32) * np.float32(self.settings.density_noise)
         return Batch(arrays, count, int(used.sum()))
 
-    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
-        """Squared error (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
+    def _learn_ends(self, told: dict[str, Any]) -> None:
+        """Tell the tiles of the last batch where its rays used up their light."""
+        ray, lit, depth = self.drawn.ray, np.asarray(told["lit"]), np.asarray(told["depth"])
+        first = np.flatnonzero(np.diff(ray, prepend=-1))
+        rays = ray[first]
+        last = first + lit[rays].astype(np.int64).clip(1) - 1
+        end = np.where(depth[rays] > -np.log(DARK), self.drawn.distance[last], np.float32(np.inf))
+        self.ends.learn(self.drawn.tile[rays], end)
+
+    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """See `batch_loss`."""
         return batch_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs beside the parameters."""
-        return {"most": self.occupancy.most, "samples_per_ray": np.float64(self.samples_per_ray)}
+        return {"most": self.occupancy.most, "reach": self.ends.reach, "samples_per_ray": np.float64(self.samples_per_ray)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Undo `state`."""
         self.occupancy = Occupancy(state["most"].copy())
         self.occupied = self.occupancy.occupied
+        self.ends.reach = state["reach"].copy()
         self.samples_per_ray = float(state["samples_per_ray"])
 
 
-def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, Any]:
-    """Squared error (eq. 3), sparsity (eq. 8) and alpha; and the squared error alone."""
-    view, directions = settings.view_dependence, batch["directions"]
+def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Squared error (eq. 3), sparsity (eq. 8) and alpha.
+
+    Also told, all sums over samples: "error", the squared error alone; "lit" [R], how many of a ray's samples light still
+    reaches; "depth" [R], the optical depth of a ray.
+    """
+    view, directions, ray = settings.view_dependence, batch["directions"], batch["ray"]
     raw, values = raw_outputs(jnp, settings.family, params["field"], batch["inputs"])
     density = density_of(jnp, settings.family, raw + batch["noise"] if "noise" in batch else raw)
-    values = sample_values(jnp, view, settings.family, params, values, directions[batch["ray"]])
+    values = sample_values(jnp, view, settings.family, params, values, directions[ray])
     depth = optical_depth(jnp, jnp.where(batch["valid"], density, 0), batch["length"])
-    gathered, through, _ = composite(jnp, depth, values, batch["ray"], MOST_RAYS)
+    gathered, through, _ = composite(jnp, depth, values, ray, len(directions))
     background = batch.get("background", 1.0)
     colour = ray_colour(jnp, view, params, gathered, through, directions, background)
     wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, background)
-    used = batch["used"].astype(jnp.float32)
-    rays = jnp.maximum(used.sum(), 1)
-    error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / rays
-    loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / jnp.maximum(batch["valid"].sum(), 1)
+    used = (batch["used"] & ~(batch["cut"] & (through > LEFT))).astype(jnp.float32)
+    error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / batch["rays"]
+    loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / batch["count"]
     if has_alpha:
-        loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / rays
-    return loss, error
+        loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / batch["rays"]
+    lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))
+    per_ray = jnp.zeros((len(directions), 2)).at[ray].add(jnp.stack([lit, depth], axis=-1), indices_are_sorted=True)
+    return loss, {"error": error, "lit": per_ray[:, 0], "depth": per_ray[:, 1]}
+
+
+def filled(size: int, values: np.ndarray, rest: Any = 0) -> np.ndarray:
+    """The values [n, ...] and then `rest`, [size, ...] in all."""
+    result = np.empty((size, *values.shape[1:]), values.dtype)
+    result[: len(values)] = values
+    result[len(values) :] = rest
+    return result

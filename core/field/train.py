@@ -1,4 +1,4 @@
-"""Training a deferred NeRF (section 4) in JAX: the one place that optimises the field."""
+"""Training a field in JAX: the loop that optimises it, and what it needs to stop at any moment and go on later."""
 
 from __future__ import annotations
 
@@ -9,31 +9,67 @@ import sys
 import time
 from ast import literal_eval
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
-from functools import partial
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from ..capture.dataset import Dataset
+from ..capture.dataset import Dataset, read_dataset
+from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
+from . import decide, trial
 from .checkpoint import read_field_and_state, write_field
 from .field import Field
-from .networks import ViewNetwork, init_params
-from .optimise import learning_rate, train_step, zero_moments
-from .packed import PackedScheme
+from .held_out import HELD_OUT_RAYS, Rays, some_views
+from .log import Log
+from .networks import ViewNetwork, init_field, init_params
+from .optimise import learning_rate, zero_moments
+from .packed import Batch, PackedScheme
+from .parallel import Devices
 from .pixels import PixelPool
-from .sampling import hull
+from .sampling import Domain, hull
 from .settings import TrainSettings
+from .trust import cause, not_finite
 
 Progress = Callable[[float, str], None]
+PATIENCE = 5  # steps in a row that are not finite end the training
+SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
+SAVE_SHARE = 0.02  # of the time may go into saving
+
+
+class Scheme(Protocol):
+    """A way to sample rays: what a step's batch and loss are."""
+
+    occupied: np.ndarray
+
+    def batch(self, params: Any, fraction: float) -> Batch:
+        """A step's rays and samples; `fraction` of the training is done."""
+
+    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """(loss, what else is told: "error", the squared error of colour, and what `learn` wants), sums over what is in the
+        batch divided by numbers that the batch holds; traced."""
+
+    def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
+        """After each step: what the sampling takes from the parameters, and from what the loss told beside itself."""
+
+    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+        """Colours [R, 3] of rays over white, as the field is sampled now."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that `restore` needs beside the parameters."""
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Undo `state`."""
 
 
 @dataclass(frozen=True)
 class TrainProgress:
-    """fraction of the whole, step, loss and psnr (dB, of the training rays, running mean), seconds, rays and samples of the last step."""
+    """fraction of the whole, step, loss and psnr (dB, of the training rays, running mean), seconds, rays and samples of the last
+    step, its learning rate; held_out: dB of rays of views that are not trained on, None where there are none or none were scored
+    yet; note: what it does beside the usual, ''."""
 
     fraction: float
     step: int
@@ -42,33 +78,111 @@ class TrainProgress:
     seconds: float
     rays: int
     samples: int
+    rate: float
+    held_out: float | None = None
+    note: str = ""
+
+    def text(self) -> str:
+        """For people."""
+        held = "" if self.held_out is None else f", {self.held_out:.2f} dB on held-out views"
+        return f"Step {self.step}: {self.psnr:.2f} dB on training rays{held}{', ' + self.note if self.note else ''}"
 
 
 class Trainer:
-    """A field on its way: parameters, optimiser, occupancy, random state."""
+    """A field on its way: parameters, optimiser, samples, random state.
 
-    def __init__(self, dataset: Dataset, settings: TrainSettings, progress: Progress = lambda f, w: None) -> None:
+    settings.steps makes training exact: the same steps give the same bytes, stopped and resumed or not (on one CPU device).
+    Settings in seconds follow the clock, and where the clock stands at a step is never the same twice.
+    """
+
+    def __init__(
+        self, dataset: Dataset, settings: TrainSettings, progress: Progress = lambda f, w: None, held_out: Dataset | None = None
+    ) -> None:
+        """held_out: views to score now and then and never to learn from."""
         keep_memory()
-        self.settings, self.dataset = settings, dataset
-        images = []
-        for i in range(len(dataset.views)):
-            images.append(dataset.read(i))
-            progress(0.0, f"Reading image {i + 1} of {len(dataset.views)}")
-        progress(0.0, "Carving the visual hull")
-        masks = [i[..., 3] > 0 if i.shape[-1] == 4 else None for i in images]
-        self.domain, alive = hull(dataset.suggested_box(), dataset.cameras, masks)
-        self.pool = PixelPool(images, dataset.cameras, self.domain)
+        self.settings, self.dataset, self.devices = settings, dataset, Devices()
+        self.decisions: list[decide.Decision] = []
+        self.pool = self._read(progress)
+        self.domain, self.ndc, alive = self._space(progress)
+        self.pool.domain, self.pool.ndc = self.domain, self.ndc
         self.rng = np.random.default_rng(settings.seed)
-        self.scheme = PackedScheme(settings, self.pool, self.domain, alive, self.rng)
-        self.params = jax.tree.map(jnp.asarray, init_params(settings.family, settings.view_dependence, False, self.rng))
-        self.moments = zero_moments(self.params)
-        self.step = 0
-        self.elapsed = 0.0
-        self.history: list[dict[str, float]] = []
-        self.loss = self.error = 0.0
-        self.bad = 0
+        self.scheme = self._sample(alive)
+        self.undecided = settings.view_dependence == "auto"
+        self.view = "diffuse" if self.undecided else settings.view_dependence
+        self.aside = trial.set_aside(len(dataset.views)) if self.undecided else np.zeros(len(dataset.views), bool)
+        self.pool.withheld = self.aside.copy()
+        self.params = init_params(settings.family, settings.view_dependence, settings.sampler == "hierarchical", self.rng)
+        if self.undecided:
+            self.params = trial.with_bias(self.params, trial.SILENT)
+        self.params = self.devices.place(self.params)
+        self.moments = self.devices.place(zero_moments(self.devices.local(self.params)))
+        self.held_out = None if held_out is None else self._held_out(held_out)
+        self.step, self.elapsed, self.bad = 0, 0.0, 0
+        self.loss = self.error = self.rate = 0.0
+        self.samples = self.rays = 0
+        self.score: float | None = None
         progress(0.0, "Compiling the training step")
-        self._step = jax.jit(partial(train_step, settings, self.scheme.loss), donate_argnums=(0, 1))
+        self._step = self.devices.step(settings, self.scheme.loss)
+
+    def _read(self, progress: Progress) -> PixelPool:
+        """All pixels, and whether their alpha counts."""
+        data, count = self.dataset, len(self.dataset.views)
+        masks = masks_of(data)
+
+        def images(flat: bool) -> Iterator[np.ndarray]:
+            for i in range(count):
+                progress(0.0, f"Reading image {i + 1} of {count}")
+                yield over_white(data.read(i)) if flat else data.read(i)
+
+        flat = self.settings.transparency == "off"
+        domain = decide.suggested(data.suggested_box())
+        pool = PixelPool(images(flat), data.cameras, domain, masks)
+        self.decide(decide.transparency(self.settings.transparency, pool.pixels, pool.alpha))
+        return PixelPool(images(True), data.cameras, domain, masks) if pool.alpha and not self.decisions[-1].chosen else pool
+
+    def _space(self, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
+        """Where the scene is: the field's domain, its device coordinates if it has any, and the cells that may hold something."""
+        data = self.dataset
+        decision, ndc = decide.forward_facing(
+            self.settings.ndc, data.cameras, getattr(data, "points", None), getattr(data, "bounds", None), self.pool.alpha
+        )
+        self.decide(decision)
+        if ndc is not None:
+            return *decide.seen_in_ndc(ndc, data.cameras), ndc  # type: ignore[return-value]
+        progress(0.0, "Carving the visual hull")
+        masks: list[np.ndarray | None] = [None] * len(data.views)
+        if self.pool.alpha:
+            ends = [(start, end, c) for start, end, c in zip(self.pool.starts, self.pool.ends, data.cameras, strict=True)]
+            masks = [self.pool.pixels[start:end, 3].reshape(c.height, c.width) > 0 for start, end, c in ends]
+            hidden = masks_of(data)  # nobody knows what is there: it carves nothing
+            masks = [m if h is None or m is None else m | ~h for m, h in zip(masks, hidden, strict=True)]
+        domain, alive = hull(data.suggested_box(), data.cameras, masks)
+        return domain, None, alive
+
+    def _sample(self, alive: np.ndarray) -> Scheme:
+        """The scheme that the settings name, with what it leaves open decided."""
+        origins, directions, near, *_ = self.pool.rays(self.pool.draw(1024, np.random.default_rng(self.settings.seed)))
+        rays = origins, directions, near
+        self.decide(decide.sampling(self.settings.sampler, decide.share_filled(self.domain, alive, *rays)))
+        if self.settings.sampler == "packed":
+            return PackedScheme(self.settings, self.pool, self.domain, alive, self.rng)
+        from .hierarchical import HierarchicalScheme
+
+        self.decide(decide.disparity(self.settings.distances, self.domain, *rays, self.ndc is not None))
+        disparity = "disparity" if self.decisions[-1].chosen else "linear"
+        return HierarchicalScheme(replace(self.settings, distances=disparity), self.pool, self.domain, alive, self.rng)
+
+    def _held_out(self, data: Dataset) -> Rays:
+        images = (data.read(i) for i in range(len(data.views)))
+        pool = PixelPool(images, data.cameras, self.domain, masks_of(data), self.ndc)
+        return Rays(pool, None, HELD_OUT_RAYS, self.settings.seed)
+
+    def decide(self, decision: decide.Decision) -> None:
+        """Note a decision; with that on view dependence, the views set aside come back."""
+        self.decisions.append(decision)
+        if decision.effect == trial.EFFECT:
+            self.undecided, self.view = False, str(decision.chosen)
+            self.pool.withheld[:] = False
 
     def fraction(self) -> float:
         """How much of the training is done, 0..1."""
@@ -81,50 +195,75 @@ class Trainer:
 
         Raises SnergError when several steps in a row are not finite; the parameters are those before them.
         """
-        began = time.perf_counter() - self.elapsed
-        told = kept = 0.0
+        began, told, scored = time.perf_counter() - self.elapsed, 0.0, self.elapsed
         while self.fraction() < 1:
-            samples, rays = self.advance()
-            self.elapsed = time.perf_counter() - began
-            if self.elapsed - told > 0.5 or self.fraction() >= 1:
+            if self.undecided and self.fraction() >= trial.AT:
+                with closing(trial.run(self)) as trying:
+                    for note in trying:
+                        if (now := time.perf_counter() - began) - told > 0.5:
+                            told = now
+                            yield self.told(note)
+            self.advance()
+            self.elapsed = self.devices.shared(time.perf_counter() - began)
+            ended = self.fraction() >= 1
+            if self.held_out is not None and (ended or self.elapsed - scored > SCORE_EVERY):
+                self.score = decibels(float(self.errors(self.held_out).mean()))
+                took = time.perf_counter() - began - self.elapsed
+                scored = self.elapsed + max(took / SCORE_SHARE - SCORE_EVERY, 0)
+            if ended or self.elapsed - told > 0.5:
                 told = self.elapsed
-                if told - kept > 5 or self.fraction() >= 1:
-                    kept = told
-                    self.history.append({"step": self.step, "seconds": round(told, 2), "loss": self.loss, "psnr": round(self.psnr, 3)})
-                yield TrainProgress(self.fraction(), self.step, self.loss, self.psnr, told, rays, samples)
+                yield self.told()
 
-    def advance(self) -> tuple[int, int]:
-        """One step. Returns how many samples and rays it had. Raises SnergError as `run` does."""
-        batch = self.scheme.batch(self.fraction())
-        rate = learning_rate(self.settings, self.step, self.fraction())
-        self.params, self.moments, report = self._step(self.params, self.moments, batch.arrays, rate, self.step + 1)
+    def told(self, note: str = "") -> TrainProgress:
+        """How it goes."""
+        return TrainProgress(
+            self.fraction(), self.step, self.loss, self.psnr, self.elapsed, self.rays, self.samples, self.rate, self.score, note
+        )
+
+    def advance(self, fraction: float | None = None, slower: float = 1.0) -> None:
+        """One step, as at `fraction` of the training (where it is, when None), its learning rate times `slower`.
+
+        Raises SnergError as `run` does.
+        """
+        fraction = self.fraction() if fraction is None else fraction
+        batch = self.scheme.batch(self.devices.local(self.params), fraction)
+        self.rate = slower * learning_rate(self.settings, self.step, fraction)
+        arrays = self.devices.feed(self.settings, batch.arrays)
+        self.params, self.moments, report = self._step(self.params, self.moments, arrays, self.rate, self.step + 1)
         self.step += 1
-        self.scheme.learn(self.params, self.step)
-        loss, error, finite = (float(x) for x in report)
+        loss, told, finite = self.devices.local(report)
+        self.scheme.learn(self.devices.local(self.params), self.step, told)
+        loss, error, finite = float(loss), float(told["error"]), bool(finite)
+        self.samples, self.rays = batch.samples, batch.rays
         self.bad = 0 if finite else self.bad + 1
-        if self.bad >= 5:
-            raise SnergError(
-                f"Training went wrong at step {self.step - self.bad}: the loss is not finite five times in a row; "
-                "lower the learning rate, or check the dataset for broken images or poses."
-            )
+        if self.bad >= PATIENCE:
+            why = cause(self.scheme.loss, self.devices.local(self.params), batch.arrays)
+            raise SnergError(f"Training went wrong at step {self.step - self.bad + 1}, and {PATIENCE} times in a row: {why}.")
         if finite:
             keep = 0.98 if self.loss else 0.0
             self.loss = keep * self.loss + (1 - keep) * loss
             self.error = keep * self.error + (1 - keep) * error
-        return batch.samples, batch.rays
+
+    def errors(self, rays: Rays) -> np.ndarray:
+        """Squared errors [R] of rays, as the field is now."""
+        return rays.errors(self.scheme.colours(self.devices.local(self.params), rays, self.fraction()))
 
     @property
     def psnr(self) -> float:
         """Of the training rays, dB, running mean."""
-        return -10 * math.log10(max(self.error, 1e-10))
+        return decibels(self.error)
 
     def field(self) -> Field:
-        """The field as trained so far."""
-        view = self.params.get("view")
+        """The field as trained so far; without features where it is diffuse."""
+        params = jax.tree.map(np.asarray, self.devices.local(self.params))
+        network = ViewNetwork(*params["view"]) if "view" in params and self.view != "diffuse" else None
+        if self.settings.view_dependence == "auto" and self.view == "diffuse":
+            shapes = init_field(self.settings.family, "diffuse", np.random.default_rng(0))["field"]
+            params["field"] = jax.tree.map(lambda a, like: a[..., : like.shape[-1]], params["field"], shapes)
         return Field(
             family=self.settings.family,
-            params=jax.tree.map(np.asarray, self.params["field"]),
-            network=None if view is None else ViewNetwork(*(np.asarray(a) for a in view)),
+            params=params["field"],
+            network=network,
             domain=self.domain,
             occupancy=self.scheme.occupied,
             spacing=self.settings.spacing,
@@ -132,33 +271,65 @@ class Trainer:
             dataset=str(self.dataset.root.resolve()),
             about={
                 "settings": asdict(self.settings),
-                "family": type(self.settings.family).__name__,
+                "dataset_options": asdict(self.dataset.options) if hasattr(self.dataset, "options") else {},
+                "decisions": [d.to_json() for d in self.decisions],
                 "steps": self.step,
                 "seconds": round(self.elapsed, 2),
-                "psnr_training_rays": self.history[-1]["psnr"] if self.history else None,
-                "history": self.history,
+                "psnr_training_rays": round(self.psnr, 3) if self.step else None,
+                "psnr_held_out_rays": None if self.score is None else round(self.score, 3),
             },
+            ndc=self.ndc,
+            view=self.view,
         )
 
     def state(self) -> dict[str, np.ndarray]:
-        """All that `restore` needs to go on where this trainer stands, as arrays."""
-        leaves = jax.tree.leaves((self.params, self.moments))
-        arrays = {f"leaf_{i:03d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-        arrays["clock"] = np.array([self.step, self.elapsed], np.float64)
-        arrays["random"] = np.frombuffer(repr(self.rng.bit_generator.state).encode(), np.uint8)
-        return arrays | self.scheme.state()
+        """All that `restore` needs to go on where this trainer stands, as arrays of its own.
 
-    def restore(self, state: dict[str, np.ndarray], history: list[dict[str, float]]) -> None:
-        """Go on from a `state`. Raises SnergError when it is another network's."""
+        Raises SnergError when the optimiser holds something that is not finite (hard case 27).
+        """
+        kept = self.devices.local((self.params, self.moments))
+        if broken := not_finite(kept):
+            raise SnergError(
+                f"Training went wrong by step {self.step}: {broken} is not finite; go on with a lower learning rate (setting rate)."
+            )
+        arrays = {f"leaf_{i:03d}": np.array(leaf) for i, leaf in enumerate(jax.tree.leaves(kept))}
+        arrays["clock"] = np.array([self.step, self.elapsed, self.loss, self.error, self.bad], np.float64)
+        arrays["random"] = np.frombuffer(repr(self.rng.bit_generator.state).encode(), np.uint8)
+        arrays["decided"] = np.frombuffer(b"" if self.undecided else self.view.encode(), np.uint8)
+        return arrays | {name: np.array(value) for name, value in self.scheme.state().items()}
+
+    def restore(self, state: dict[str, np.ndarray], decisions: list[dict[str, Any]] | None = None) -> None:
+        """Go on from a `state`, and the decisions as `field().about` has them. Raises SnergError when it is another network's."""
         leaves, tree = jax.tree.flatten((self.params, self.moments))
         kept = [state.get(f"leaf_{i:03d}") for i in range(len(leaves))]
-        if any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True)):
+        if any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True)) or len(state.get("clock", ())) != 5:
             raise SnergError("The field to go on with has another network than these settings; train into a new folder.")
-        self.params, self.moments = jax.tree.unflatten(tree, [jnp.asarray(k) for k in kept])
+        self.params, self.moments = self.devices.place(jax.tree.unflatten(tree, kept))
         self.scheme.restore(state)
-        self.step, self.elapsed = int(state["clock"][0]), float(state["clock"][1])
+        self.step, self.bad = int(state["clock"][0]), int(state["clock"][4])
+        self.elapsed, self.loss, self.error = (float(x) for x in state["clock"][1:4])
         self.rng.bit_generator.state = literal_eval(state["random"].tobytes().decode())
-        self.history = list(history)
+        self.decisions = [d for d in self.decisions if d.effect != trial.EFFECT]
+        if self.settings.view_dependence == "auto":
+            self.undecided = not len(state["decided"])
+            self.view = "diffuse" if self.undecided else state["decided"].tobytes().decode()
+        self.pool.withheld = self.aside.copy() if self.undecided else np.zeros_like(self.aside)
+        for known in decisions or []:
+            if known["effect"] == trial.EFFECT:
+                self.decide(decide.Decision(**known))
+
+
+def decibels(error: float) -> float:
+    """PSNR of a mean squared error, 100 where there is next to none (hard case 30)."""
+    return -10 * math.log10(max(error, 1e-10))
+
+
+def over_white(image: np.ndarray) -> np.ndarray:
+    """uint8 [H, W, 3 or 4] to [H, W, 3] over white."""
+    if image.shape[-1] == 3:
+        return image
+    alpha = image[..., 3:].astype(np.uint32)
+    return ((image[..., :3] * alpha + 255 * (255 - alpha) + 127) // 255).astype(np.uint8)
 
 
 def keep_memory() -> None:
@@ -174,6 +345,25 @@ def keep_memory() -> None:
         pass
 
 
+def masks_of(dataset: Dataset) -> list[np.ndarray | None]:
+    """What is to be used of each view, bool [H, W], None for all of it."""
+    mask = getattr(dataset, "mask", lambda i: None)
+    return [mask(i) for i in range(len(dataset.views))]
+
+
+def held_out_of(dataset: Dataset) -> Dataset | None:
+    """Views of the same scene that `dataset` does not have: some of its 'val' or 'test' split, None where there is none."""
+    there = dataset.splits() if hasattr(dataset, "splits") else ("val", "test")
+    for split in ("val", "test"):
+        if split in there and split != dataset.split:
+            try:
+                more = {"options": dataset.options} if hasattr(dataset, "options") else {}
+                return some_views(read_dataset(dataset.root, split, **more))
+            except SnergError:
+                continue  # images that training does not need
+    return None
+
+
 def train(
     dataset: Dataset,
     settings: TrainSettings,
@@ -182,27 +372,67 @@ def train(
     resume: bool = False,
     save_every: float = 60.0,
 ) -> Field:
-    """Train and keep the field in `folder`, saved each minute and when cancelled; `resume` goes on with what is there.
+    """Train and keep the field and its log in `folder`, saved each minute and when cancelled; `resume` goes on with what is there.
 
-    Raises SnergError on bad input or when training goes wrong (then the last good state is on disk), Cancelled when
-    `progress` does.
+    A kill at any moment costs what was trained since the last save. Of several processes only the first writes. Raises SnergError
+    on bad input or when training goes wrong (then the last good state is on disk), Cancelled when `progress` does.
     """
-    trainer = Trainer(dataset, settings, progress)
+    trainer = Trainer(dataset, settings, progress, held_out_of(dataset))
     if resume:
         old, state = read_field_and_state(folder)
         if state:
-            trainer.restore(state, old.about.get("history", []))
-    saved = time.perf_counter()
+            trainer.restore(state, old.about.get("decisions"))
+    for decision in trainer.decisions:
+        progress(trainer.fraction(), decision.text())
+    keeper = Keeper(trainer, folder, save_every) if trainer.devices.writes else None
+    known = len(trainer.decisions)
     try:
-        for told in trainer.run():
-            progress(told.fraction, f"Step {told.step}: {told.psnr:.2f} dB on training rays")
-            if time.perf_counter() - saved > save_every:
-                write_field(trainer.field(), folder, trainer.state())
-                saved = time.perf_counter()
+        with closing(trainer.run()) as run:  # type: ignore[type-var]
+            for told in run:
+                progress(told.fraction, told.text())
+                for decision in trainer.decisions[known:]:
+                    progress(told.fraction, decision.text())
+                known = len(trainer.decisions)
+                if keeper:
+                    keeper(told)
     except (Cancelled, KeyboardInterrupt, SnergError):
-        if trainer.step:
-            write_field(trainer.field(), folder, trainer.state())
+        if keeper and trainer.step:
+            keeper.save()
         raise
     field = trainer.field()
-    write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
+    if keeper:
+        write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field
+
+
+class Keeper:
+    """Logs about every two seconds, and saves each `save_every` seconds or less often, so that it takes little of the time."""
+
+    def __init__(self, trainer: Trainer, folder: Path, save_every: float) -> None:
+        self.trainer, self.folder, self.save_every = trainer, folder, save_every
+        self.log = Log(folder, trainer.step)
+        self.saved, self.cost = time.perf_counter(), 0.0
+        self.logged = -math.inf
+        self.scored = trainer.score
+
+    def __call__(self, told: TrainProgress) -> None:
+        """After some steps. Nothing is kept while view dependence is on trial: that is one step as far as the disk knows."""
+        if told.note:
+            return
+        at = {"step": told.step, "seconds": round(told.seconds, 2)}
+        if told.seconds - self.logged > 2 or told.fraction >= 1:
+            self.logged = told.seconds
+            line = {"fraction": round(told.fraction, 5), "loss": told.loss, "psnr": round(told.psnr, 3), "rate": told.rate}
+            self.log.add(**at, **line, samples=told.samples, rays=told.rays)
+        if told.held_out is not None and told.held_out != self.scored:
+            self.scored = told.held_out
+            self.log.add(**at, held_out_psnr=round(told.held_out, 3))
+        if time.perf_counter() - self.saved > max(self.save_every, self.cost / SAVE_SHARE):
+            self.save()
+
+    def save(self) -> None:
+        """Put the trainer's field and state on disk in place of the last, whole."""
+        began = time.perf_counter()
+        write_field(self.trainer.field(), self.folder, self.trainer.state())
+        self.saved = time.perf_counter()
+        self.cost = self.saved - began

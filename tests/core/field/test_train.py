@@ -66,8 +66,9 @@ def test_a_resumed_run_equals_an_uninterrupted_one(views, tmp_path):
     whole = train(views, SETTINGS, tmp_path / "whole")
 
     trainer = Trainer(views, SETTINGS)
-    while trainer.step < 17:
-        trainer.advance()
+    for _ in trainer.run():
+        if trainer.step >= 17:
+            break
     write_field(trainer.field(), tmp_path / "broken", trainer.state())
     resumed = train(views, SETTINGS, tmp_path / "broken", resume=True)
     for a, b in zip(jax.tree.leaves(whole.params), jax.tree.leaves(resumed.params), strict=True):
@@ -90,7 +91,7 @@ def test_a_step_that_is_not_finite_changes_nothing(views):
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
     before = jax.tree.map(np.asarray, (trainer.params, trainer.moments))
-    batch = dict(trainer.scheme.batch(0.0).arrays)
+    batch = dict(trainer.scheme.batch(trainer.params, 0.0).arrays)
     batch["directions"] = np.full_like(batch["directions"], np.nan)
     params, moments, (_, _, finite) = trainer._step(*jax.tree.map(jnp.asarray, before), batch, 1e-2, 5)
     assert not finite
@@ -105,12 +106,12 @@ def test_training_that_breaks_stops_with_a_sentence_and_the_last_good_state(view
     good = jax.tree.map(np.asarray, trainer.params)
     draw = trainer.scheme.batch
 
-    def broken(fraction: float) -> Batch:
-        batch = draw(fraction)
+    def broken(params: object, fraction: float) -> Batch:
+        batch = draw(params, fraction)
         return replace(batch, arrays={**batch.arrays, "directions": batch.arrays["directions"] * np.nan})
 
     trainer.scheme.batch = broken  # type: ignore[method-assign]
-    with pytest.raises(SnergError, match="not finite five times"):
+    with pytest.raises(SnergError, match="5 times in a row: the rays .directions. are not finite; look for a broken pose"):
         for _ in range(12):
             trainer.advance()
     for a, b in zip(jax.tree.leaves(good), jax.tree.leaves(trainer.params), strict=True):

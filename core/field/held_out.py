@@ -1,0 +1,74 @@
+"""How well a field that is being trained shows views that it never saw: a fixed set of their rays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..capture.dataset import Dataset
+from .pixels import PixelPool
+from .sampling import Domain, pack_samples
+from .settings import TrainSettings
+from .shading import ray_colour, sample_values
+from .volume import composite, optical_depth
+
+HELD_OUT_RAYS = 4096  # enough for 0.1 dB, and little next to a second of training
+HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
+
+Evaluate = Callable[[np.ndarray], Sequence[np.ndarray]]
+
+
+class Rays:
+    """Rays of a pool, drawn once, with the colours that they ought to have."""
+
+    def __init__(self, pool: PixelPool, views: np.ndarray | None, count: int, seed: int) -> None:
+        """views: [views] bool, those to draw from; all when None."""
+        rng = np.random.default_rng(seed)
+        held, pool.withheld = pool.withheld, np.zeros(len(pool.ends), bool) if views is None else ~views
+        index = pool.draw(count, rng)
+        pool.withheld = held
+        self.origins, self.directions, self.near, self.far, self.looking = pool.rays(index)
+        self.offset = rng.random(count)
+        pixels = pool.pixels[index].astype(np.float32) / 255
+        self.wanted = pixels[:, :3] * pixels[:, 3:] + 1 - pixels[:, 3:]
+
+    def errors(self, colour: np.ndarray) -> np.ndarray:
+        """Squared error [R] of colours [R, 3], the mean of the channels."""
+        return ((colour - self.wanted) ** 2).mean(axis=-1)
+
+
+def packed_colours(
+    settings: TrainSettings, domain: Domain, occupied: np.ndarray, spacing: float, evaluate: Evaluate, params: Any, rays: Rays
+) -> np.ndarray:
+    """Colours [R, 3] over white of rays, from packed samples.
+
+    evaluate: points [N, 3] to (density [N], values [N, C]) by the field of params, as they are trained.
+    """
+    got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near)
+    density, values = evaluate(got.points)
+    host = {name: _host(params[name]) for name in ("view",) if name in params}
+    if settings.view_dependence == "sample":
+        host["field"] = _host(params["field"])
+    looking = rays.looking.astype(np.float32)
+    values = sample_values(np, settings.view_dependence, settings.family, host, values, looking[got.ray])
+    gathered, through, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(looking))
+    return ray_colour(np, settings.view_dependence, host, gathered, through, looking)
+
+
+def _host(tree: Any) -> Any:
+    """NumPy copies of JAX arrays in tuples and dicts."""
+    if isinstance(tree, dict):
+        return {name: _host(value) for name, value in tree.items()}
+    if isinstance(tree, tuple):
+        parts = [_host(value) for value in tree]
+        return type(tree)(*parts) if hasattr(tree, "_fields") else tuple(parts)
+    return np.asarray(tree)
+
+
+def some_views(dataset: Dataset) -> Dataset:
+    """At most HELD_OUT_VIEWS of its views, spread evenly."""
+    chosen = np.unique(np.linspace(0, len(dataset.views) - 1, HELD_OUT_VIEWS).round().astype(int))
+    return replace(dataset, views=tuple(dataset.views[i] for i in chosen))
