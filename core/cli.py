@@ -20,9 +20,13 @@ from types import FrameType
 from typing import Any, NoReturn, TextIO
 
 from . import verbs
+from .capture.dataset import DatasetOptions
 from .errors import Cancelled, SnergError
+from .field.devices import connect, device_report
+from .field.networks import VIEWS
+from .field.settings import PRESETS
 from .jobs.protocol import EXIT_ERROR, run_job
-from .progress import Progress
+from .progress import Note, Progress
 
 EXIT_STOPPED = 130
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
@@ -71,16 +75,22 @@ def parser() -> argparse.ArgumentParser:
         sub.set_defaults(work=work)
         return sub
 
-    train = verb(
-        "train", "train a field on a dataset", lambda o, p: verbs.train_field(o.dataset, o.out, o.preset, o.minutes, o.steps, o.seed, p)
-    )
-    train.add_argument("dataset", type=Path, metavar="DATASET", help="folder with transforms_train.json")
+    train = verb("train", "train a field on a dataset", _train)
+    train.add_argument("dataset", type=Path, metavar="DATASET", help="folder with transforms.json, poses_bounds.npy or a COLMAP model")
     train.add_argument("--out", type=Path, required=True, metavar="FIELD")
-    train.add_argument("--preset", choices=("fast", "paper"), default="fast", help="hash grid, or the paper's MLP (default: %(default)s)")
+    train.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="what to train; see the README (default: %(default)s)")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=positive, metavar="M", help="how long to train")
     length.add_argument("--steps", type=count, metavar="N", help="how many steps to train")
     train.add_argument("--seed", type=natural, default=0, metavar="S", help="of everything random (default: %(default)s)")
+    train.add_argument("--view-dependence", choices=("auto", *VIEWS), help="how colours may change with the direction (default: auto)")
+    train.add_argument("--background", type=background, metavar="COLOUR", help="white, black, random or R,G,B (0 to 255) behind alpha")
+    train.add_argument("--ndc", choices=("auto", "on", "off"), help="device coordinates, for forward-facing captures (default: auto)")
+    _reading(train, DatasetOptions())
+    train.add_argument("--set", type=assignment, action="append", default=[], metavar="NAME=VALUE", help="any other setting, by its name")
+    train.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0, where several processes train together")
+    train.add_argument("--processes", type=count, default=1, metavar="N", help="how many there are")
+    train.add_argument("--process", type=natural, default=0, metavar="I", help="which of them this is, from 0")
 
     bring = verb("import", "bring in a checkpoint, field or baked scene", lambda o, p: verbs.import_source(o.source, o.out, p))
     bring.add_argument("source", type=Path, metavar="SOURCE")
@@ -100,10 +110,13 @@ def parser() -> argparse.ArgumentParser:
     bake.add_argument("--samples", type=count, default=verbs.SAMPLES, metavar="K", help="a voxel (default: %(default)s)")
     bake.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
 
-    measure = verb("eval", "measure a field or a scene on a dataset", lambda o, p: verbs.evaluate(o.target, o.dataset, o.split, p))
+    measure = verb("eval", "measure a field or a scene on views that training did not see", _evaluate)
     measure.add_argument("target", type=Path, metavar="FIELD_OR_SCENE")
-    measure.add_argument("--dataset", type=Path, required=True, metavar="DATASET")
-    measure.add_argument("--split", default="test", metavar="SPLIT", help="train, val or test (default: %(default)s)")
+    measure.add_argument("dataset", type=Path, nargs="?", metavar="DATASET", help="default: what the field was trained on")
+    measure.add_argument("--dataset", type=Path, dest="named_dataset", metavar="DATASET", help="the same, by name")
+    measure.add_argument("--split", metavar="SPLIT", help="train, val or test (default: test, else val)")
+    _reading(measure, None)
+    measure.add_argument("--out", type=Path, metavar="DIR", help="write the pictures there, and a sheet of them beside the truth")
 
     render = verb("render", "render a scene from cameras", lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p))
     render.add_argument("scene", type=Path, metavar="SCENE")
@@ -122,9 +135,46 @@ def parser() -> argparse.ArgumentParser:
     bundle.add_argument("--cameras", type=Path, metavar="FILE", help="a transforms file whose cameras the page lists")
     bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
 
-    about = verb("info", "say what a dataset, field, checkpoint or scene is", lambda o, p: verbs.info(o.path, p))
-    about.add_argument("path", type=Path, metavar="PATH")
+    about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
+    about.add_argument("path", type=Path, nargs="?", metavar="PATH")
+    about.add_argument("--devices", action="store_true", help="which devices training would use")
     return top
+
+
+def _reading(verb: argparse.ArgumentParser, defaults: DatasetOptions | None) -> None:
+    """How a dataset is read. defaults: None where they come from the training."""
+    told = ("as in training",) * 2 if defaults is None else (defaults.holdout, defaults.downscale)
+    verb.add_argument("--holdout", type=natural, metavar="N", help=f"every n-th view is not trained on; 0: none (default: {told[0]})")
+    verb.add_argument("--downscale", type=count, metavar="N", help=f"read pictures this many times smaller (default: {told[1]})")
+    if defaults is not None:
+        verb.set_defaults(holdout=defaults.holdout, downscale=defaults.downscale)
+
+
+def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    if options.coordinator is None and (options.processes, options.process) != (1, 0):
+        raise SnergError("Several processes need to meet; give --coordinator HOST:PORT, the same for each.")
+    named = {name: getattr(options, name) for name in ("view_dependence", "background", "ndc")}
+    values = dict(options.set) | {name: value for name, value in named.items() if value is not None}
+    verbs.settings_of(options.preset, options.minutes, options.steps, options.seed, values)  # before others wait for this one
+    if options.coordinator is not None:
+        connect(options.coordinator, options.processes, options.process)
+    reading = DatasetOptions(options.holdout, options.downscale)
+    return verbs.train_field(
+        options.dataset, options.out, options.preset, options.minutes, options.steps, options.seed, reading, values, progress
+    )
+
+
+def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    dataset = options.dataset or options.named_dataset
+    return verbs.evaluate(options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress)
+
+
+def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    if options.devices:
+        return device_report()
+    if options.path is None:
+        raise SnergError("There is nothing to describe; give a path, or --devices.")
+    return verbs.info(options.path, progress)
 
 
 @contextmanager
@@ -182,8 +232,27 @@ def positive(text: str) -> float:
     return value
 
 
+def background(text: str) -> str:
+    """'white', 'black', 'random', or red, green and blue from 0 to 255 as '#rrggbb'."""
+    parts = text.split(",")
+    if len(parts) == 1:
+        return text
+    values = [int(part) for part in parts]
+    if len(values) != 3 or not all(0 <= value <= 255 for value in values):
+        raise argparse.ArgumentTypeError(f"{text} must be three numbers from 0 to 255")
+    return "#{:02x}{:02x}{:02x}".format(*values)
+
+
+def assignment(text: str) -> tuple[str, str]:
+    """NAME=VALUE."""
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip():
+        raise argparse.ArgumentTypeError(f"{text} must be NAME=VALUE")
+    return name.strip(), value
+
+
 class Terminal:
-    """Progress for people: one line written over on a terminal, else a line every few seconds."""
+    """Progress for people: one line written over on a terminal, else a line every few seconds. Notes stay (see progress.Note)."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
@@ -193,6 +262,10 @@ class Terminal:
 
     def __call__(self, fraction: float, message: str, /) -> None:
         """Show where the work is."""
+        if isinstance(message, Note):
+            self.stream.write(f"\r\x1b[K{message}\n" if self.over else f"{message}\n")
+            self.stream.flush()
+            return
         now = time.monotonic()
         if now - self.told < (0.1 if self.over else EVERY_SECONDS):
             return

@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .capture.dataset import read_dataset
+from .capture.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_params, read_reference
 from .export.scene import is_scene, read_scene
 from .field.checkpoint import is_field, read_field
+from .field.decide import forward_facing
 from .field.field import Field
 from .field.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
 from .files import MARK, read_json
@@ -48,11 +52,19 @@ def kind_of(path: Path) -> str:
         return "reference scene"
     if (path / "index.html").is_file() and (path / MARK).is_file():
         return "page"
-    if path.suffix == ".json" or (path.is_dir() and any(path.glob("transforms*.json"))):
+    if is_dataset(path):
         return "dataset"
     if find_checkpoint(path) is not None:
         return "checkpoint"
     raise SnergError(f"{path} is no dataset, field, checkpoint or baked scene.")
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a folder or file looks like a capture that one of the readers knows."""
+    try:
+        return transforms.is_transforms(path) or llff.is_llff(path) or colmap.is_colmap(path)
+    except OSError:
+        return False  # a folder that may not be looked into
 
 
 def any_scene(path: Path, progress: Progress = silent) -> Snerg:
@@ -75,17 +87,35 @@ def any_field(path: Path) -> Field:
 
 
 def _dataset_info(path: Path) -> Result:
-    splits = [p.stem.removeprefix("transforms_") for p in sorted(path.glob("transforms_*.json"))] if path.is_dir() else []
-    opened = [read_dataset(path, split) for split in splits or ["train"]]
-    first = opened[0]
-    sizes = sorted({(c.width, c.height) for d in opened for c in d.cameras})
+    train = read_dataset(path, "train")
+    opened = [train, *(read_dataset(path, split) for split in train.splits() if split != "train")]
+    cameras = [camera for part in opened for camera in part.cameras]
+    transparent = has_alpha(train.read(0))
+    decision, _ = forward_facing("auto", train.cameras, train.points, train.bounds, transparent)
+    box = train.suggested_box()
+    lenses = sorted({camera.distortion.model for camera in cameras if camera.distortion})
     return {
-        "splits": {d.split: len(d.views) for d in opened},
-        "views": sum(len(d.views) for d in opened),
-        "sizes": [list(size) for size in sizes],
-        "alpha": first.read(0).shape[-1] == 4,
-        "box": first.box.to_json() if first.box else None,
+        "source": train.kind,
+        "splits": {part.split: len(part.views) for part in opened},
+        "views": len(cameras),
+        "sizes": [list(size) for size in sorted({(camera.width, camera.height) for camera in cameras})],
+        "alpha": transparent,
+        "masks": sum(view.mask is not None for part in opened for view in part.views),
+        "distortion": lenses,
+        "points": 0 if train.points is None else len(train.points),
+        "bounds": None if train.bounds is None else [float(train.bounds[:, 0].min()), float(train.bounds[:, 1].max())],
+        "box": train.box.to_json() if train.box else None,
+        "suggested_box": box.to_json(),
+        "suggested_size": [round(float(side), 4) for side in box.size],
+        "forward_facing": decision.chosen,
+        "evidence": decision.evidence,
+        "without_image": train.passed_over,
     }
+
+
+def has_alpha(image: np.ndarray) -> bool:
+    """Whether a picture [H, W, 3 or 4] uint8 is transparent anywhere."""
+    return image.shape[-1] == 4 and bool((image[..., 3] < 255).any())
 
 
 def _field_info(field: Field) -> Result:
@@ -97,7 +127,10 @@ def _field_info(field: Field) -> Result:
         "steps": field.about.get("steps"),
         "seconds": field.about.get("seconds"),
         "box": box.to_json(),
-        "effects": {"view_dependence": field.network is not None},
+        "view_dependence": field.view,
+        "ndc": field.ndc is not None,
+        "decisions": field.about.get("decisions", []),
+        "effects": {"view_dependence": field.view != "diffuse"},
     }
 
 

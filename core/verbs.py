@@ -10,22 +10,24 @@ import json
 import math
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .capture.camera import Camera
-from .capture.dataset import Dataset, read_dataset
+from .capture.dataset import Dataset, DatasetOptions, read_dataset
 from .capture.images import png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
 from .describe import Result, any_field, any_scene, folder_bytes, info, kind_of
 from .errors import SnergError, needs_jax
-from .evaluate import evaluate
+from .evaluate import evaluate, options_of, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.reference import write_reference
 from .export.scene import write_scene
 from .field.checkpoint import is_field, read_field, write_field
+from .field.log import FILE as LOG
+from .field.settings import PRESETS, TrainSettings, with_values
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.box import Box
 from .grid.march import MarchSettings, march, tables_of
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["bake_scene", "bundle_scene", "evaluate", "export_reference", "import_source", "info", "render_views", "train_field"]
 RESOLUTION = 512
 SAMPLES = 4
+EIGHTH = DatasetOptions()
 
 
 def train_field(
@@ -47,39 +50,52 @@ def train_field(
     minutes: float | None = None,
     steps: int | None = None,
     seed: int = 0,
+    options: DatasetOptions = EIGHTH,
+    values: Mapping[str, str] | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Train a field on a dataset's train split (JAX); an unfinished training with the same settings goes on where it stopped.
 
-    minutes or steps: how long; the preset's own time when neither is given. Raises SnergError on bad input or when the
-    training goes wrong, Cancelled when `progress` does; then `out` holds the field as far as it got.
+    minutes or steps: how long; the preset's own time when neither is given. options: how to read the dataset. values:
+    settings by name, in place of the preset's (see settings.with_values). Raises SnergError on bad input or when the training
+    goes wrong, Cancelled when `progress` does; then `out` holds the field as far as it got.
     """
     check_out(out, "field", dataset)
+    settings = settings_of(preset, minutes, steps, seed, values or {})
     with needs_jax():
-        from .field.settings import PRESETS
         from .field.train import train
-    if preset not in PRESETS:
-        raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
-    settings = replace(PRESETS[preset], seed=seed)
-    if steps is not None:
-        settings = replace(settings, steps=steps, seconds=None)
-    elif minutes is not None:
-        settings = replace(settings, seconds=60 * minutes)
-    views = read_dataset(dataset, "train")
+    views = read_dataset(dataset, "train", options)
     resume = _unfinished(out, settings, views)
     field = train(views, settings, out, progress, resume=resume)
+    about = field.about
     return {
         "field": str(out),
         "views": len(views.views),
         "resumed": resume,
-        "steps": field.about.get("steps"),
-        "seconds": field.about.get("seconds"),
-        "psnr": field.about.get("psnr_training_rays"),
+        "steps": about.get("steps"),
+        "seconds": about.get("seconds"),
+        "psnr": about.get("psnr_training_rays"),
+        "psnr_held_out": about.get("psnr_held_out_rays"),
+        "view_dependence": field.view,
+        "ndc": field.ndc is not None,
+        "decisions": about.get("decisions", []),
         "bytes": folder_bytes(out),
     }
 
 
-def _unfinished(out: Path, settings: Any, dataset: Dataset) -> bool:
+def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int, values: Mapping[str, str]) -> TrainSettings:
+    """A preset with some settings changed. Raises SnergError on a name or a value that there is not."""
+    if preset not in PRESETS:
+        raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
+    settings = replace(with_values(PRESETS[preset], values), seed=seed)
+    if steps is not None:
+        return replace(settings, steps=steps, seconds=None)
+    if minutes is not None:
+        return replace(settings, steps=None, seconds=60 * minutes)
+    return settings
+
+
+def _unfinished(out: Path, settings: TrainSettings, dataset: Dataset) -> bool:
     """Whether `out` holds a training with just these settings and images that was stopped before its end."""
     if not is_field(out):
         return False
@@ -87,10 +103,11 @@ def _unfinished(out: Path, settings: Any, dataset: Dataset) -> bool:
         field = read_field(out)
     except SnergError:
         return False  # damaged: begin anew
-    same = field.about.get("settings") == json.loads(json_bytes(asdict(settings)))
-    if not same or field.dataset != str(dataset.root.resolve()) or len(field.cameras) != len(dataset.cameras):
-        return False
     about = field.about
+    same = about.get("settings") == json.loads(json_bytes(asdict(settings)))
+    same &= about.get("dataset_options", {}) == asdict(dataset.options) and len(field.cameras) == len(dataset.cameras)
+    if not same or field.dataset != str(dataset.root.resolve()):
+        return False
     done = about.get("steps", 0) / settings.steps if settings.steps else about.get("seconds", 0) / (settings.seconds or math.inf)
     return bool(done < 1)
 
@@ -106,6 +123,7 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
         write_scene(any_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
     elif kind in ("field", "checkpoint"):
         write_field(any_field(source), out)
+        (out / LOG).unlink(missing_ok=True)  # of a training that was there before
     else:
         raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")
     progress(1.0, "Imported")
@@ -147,6 +165,7 @@ def bake_field(
     began = time.perf_counter()
     share = 0.97 if dataset is None else 0.7
     snerg = bake(field, box, field.cameras, BakeSettings(resolution=resolution, samples=samples), within(progress, 0, share))
+    snerg = replace(snerg, about={**snerg.about, "trained": trained(field.about)})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()
@@ -163,7 +182,7 @@ def _images_to_refine_on(field: Field) -> Dataset | None:
         raise SnergError(
             f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
         )
-    return read_dataset(Path(field.dataset), "train")
+    return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))
 
 
 def render_views(

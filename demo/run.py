@@ -19,11 +19,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 from build_scene import CAMERAS, SIZE, build
-from PIL import Image, ImageDraw, ImageFont
 
 import snerg
 from snerg.core.capture.dataset import Dataset, read_dataset
-from snerg.core.capture.images import over_white, to_uint8, write_png
+from snerg.core.capture.images import over_white, write_png
 from snerg.core.cli import Terminal
 from snerg.core.describe import folder_bytes
 from snerg.core.evaluate import Score
@@ -40,12 +39,12 @@ from snerg.core.grid.box import Box
 from snerg.core.grid.march import march
 from snerg.core.grid.refine import RefineSettings, refine
 from snerg.core.grid.snerg import Snerg
+from snerg.core.study.pictures import contact_sheet, error_picture
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated, render_dataset
 
 OUT = Path(__file__).resolve().parent.parent / "build" / "demo"
 COLUMNS = ("truth", "field", "preview", "error x 10")
-GAP, LABEL = 6, 22  # pixels
 Pictures = list[np.ndarray]
 
 
@@ -74,6 +73,8 @@ def main() -> int:
     options.out.mkdir(parents=True)
     with watch.stage("render"), quiet():
         capture(options, watch)
+    if options.dataset_only:
+        return 0
     views, held_out = read_dataset(options.out / "dataset", "train"), read_dataset(options.out / "dataset", "test")
     with watch.stage("train"):
         settings = replace(PRESETS["fast"], seconds=60 * options.minutes)
@@ -101,6 +102,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--cameras", type=int, default=CAMERAS, help="every eighth is held out (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=3.0, help="of training (default: %(default)s)")
     parser.add_argument("--resolution", type=int, default=320, help="voxels along the longest side (default: %(default)s)")
+    parser.add_argument("--dataset-only", action="store_true", help="render the dataset and stop")
     return parser.parse_args()
 
 
@@ -145,8 +147,9 @@ def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: 
         "bytes": {"scene": folder_bytes(out / "scene"), "web": folder_bytes(out / "web")},
     }
     write_bytes(out / "report.json", json_bytes(value))
-    names = [camera.name for camera in held_out.cameras]
-    write_png(out / "contact.png", contact_sheet(truth, stages["field"], preview, names))
+    columns = zip(truth, stages["field"], preview, strict=True)
+    rows = [(c.name, [*p, error_picture(p[0], p[2])]) for c, p in zip(held_out.cameras, columns, strict=True)]
+    write_png(out / "contact.png", contact_sheet(rows, COLUMNS))
     print(table(json.loads((out / "report.json").read_text())))
     print(f"\nPictures of the cameras that were held out: {out / 'contact.png'}")
     print("To open the page, run this and visit http://localhost:8000")
@@ -159,21 +162,6 @@ def measure(pictures: Pictures, truth: Pictures) -> dict[str, float]:
     for picture, wanted in zip(pictures, truth, strict=True):
         score.add(picture, wanted)
     return score.result()
-
-
-def contact_sheet(truth: Pictures, field: Pictures, preview: Pictures, names: list[str]) -> np.ndarray:
-    """uint8 [H, W, 3]: a row a camera, with what it should show, the field, the preview and ten times their difference."""
-    error = [np.clip(10 * np.abs(a - b), 0, 1) for a, b in zip(truth, preview, strict=True)]
-    height, width = truth[0].shape[:2]
-    sheet = Image.new("RGB", (4 * (width + GAP) + GAP, len(names) * (height + LABEL + GAP) + GAP), (38, 38, 42))
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
-    for row, (name, *pictures) in enumerate(zip(names, truth, field, preview, error, strict=True)):
-        top = GAP + row * (height + LABEL + GAP)
-        for column, (title, picture) in enumerate(zip(COLUMNS, pictures, strict=True)):
-            left = GAP + column * (width + GAP)
-            draw.text((left + 2, top + 2), f"{name}  {title}" if column == 0 else title, (235, 235, 235), font)
-            sheet.paste(Image.fromarray(to_uint8(picture)), (left, top + LABEL))
-    return np.asarray(sheet)
 
 
 def table(value: dict[str, dict[str, float]]) -> str:

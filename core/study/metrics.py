@@ -14,14 +14,17 @@ SIGMA = 1.5
 K1, K2 = 0.01, 0.03
 
 
-def mse(a: np.ndarray, b: np.ndarray) -> float:
-    """Mean squared error of two pictures [H, W, C] in [0, 1], computed in float64.
+def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
+    """Mean squared error of two pictures [H, W, C] in [0, 1], computed in float64. mask: [H, W] bool, the pixels that count.
 
-    Raises SnergError when their shapes differ or a value is not finite.
+    Raises SnergError when their shapes differ, a value is not finite, or no pixel counts.
     """
     if a.shape != b.shape:
         raise SnergError(f"Pictures of {a.shape} and {b.shape} cannot be compared; render at the size of the dataset's images.")
-    error = float(((a.astype(np.float64) - b.astype(np.float64)) ** 2).mean())
+    squares = (a.astype(np.float64) - b.astype(np.float64)) ** 2
+    if mask is not None and not mask.any():
+        raise SnergError("A picture's mask hides all of it, so that nothing can be compared; take the view out of the dataset.")
+    error = float((squares if mask is None else squares[mask]).mean())
     if not math.isfinite(error):
         raise SnergError("A picture to compare holds values that are not finite.")
     return error
@@ -48,21 +51,27 @@ def mean_psnr(errors: Iterable[float]) -> float:
     return psnr_of(sum(values) / len(values))
 
 
-def ssim(a: np.ndarray, b: np.ndarray) -> float:
+def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Structural similarity (Wang et al. 2004) of pictures [H, W, C] in [0, 1], mean over pixels and channels.
 
-    An 11 x 11 Gaussian of sigma 1.5, only where it fits whole. Raises SnergError when the shapes differ or are under 11 pixels.
+    An 11 x 11 Gaussian of sigma 1.5, only where it fits whole. mask: [H, W] bool, the pixels that count; around them, within
+    a window, what does not count is taken for equal. Raises SnergError as `mse` does, or when they are under 11 pixels.
     """
-    mse(a, b)
+    mse(a, b, mask)
     if min(a.shape[:2]) < WINDOW:
         raise SnergError(f"SSIM needs pictures of {WINDOW} x {WINDOW} pixels or more, not {a.shape[1]} x {a.shape[0]}.")
     a, b = a.astype(np.float64), b.astype(np.float64)
+    half = WINDOW // 2
+    counted = None
+    if mask is not None:
+        a, counted = np.where(mask[..., None], a, b), mask[half:-half, half:-half]
     mean_a, mean_b = blur(a), blur(b)
     variance_a, variance_b = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2
     covariance = blur(a * b) - mean_a * mean_b
     c1, c2 = K1**2, K2**2
     likeness = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
-    return float((likeness / ((mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2))).mean())
+    likeness /= (mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2)
+    return float(likeness[counted].mean() if counted is not None and counted.any() else likeness.mean())
 
 
 def blur(x: np.ndarray) -> np.ndarray:

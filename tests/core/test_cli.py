@@ -32,7 +32,7 @@ def test_json_is_the_last_line(scene, capsys):
     assert cli.main(["info", str(scene), "--json"]) == 0
     output = capsys.readouterr()
     value = json.loads(output.out.splitlines()[-1])
-    assert value["kind"] == "scene" and value["voxels"] == [31, 30, 33] and value["effects"] == {"view_dependence": False}
+    assert value["kind"] == "scene" and value["voxels"] == [31, 30, 33] and not value["effects"]["view_dependence"]
     assert output.err == ""
 
 

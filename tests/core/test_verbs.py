@@ -19,6 +19,7 @@ from snerg.core.export.reference import write_reference
 from snerg.core.export.scene import read_scene, write_scene
 from snerg.core.field.checkpoint import read_field, write_field
 from snerg.core.field.reference_checkpoint import read_reference_checkpoint, reference_mlp
+from snerg.core.field.settings import PRESETS
 from snerg.core.grid.march import march
 
 
@@ -64,7 +65,7 @@ def test_a_stopped_training_goes_on(tmp_path, dataset, monkeypatch):
     reached = read_field(tmp_path / "field").about["steps"]
     assert 0 < reached < 8
     views = read_dataset(dataset)
-    settings = replace(train.PRESETS["fast"], steps=8, seconds=None)
+    settings = replace(PRESETS["fast"], steps=8, seconds=None)
     assert not verbs._unfinished(tmp_path / "field", replace(settings, steps=9), views)  # other settings: anew
     assert not verbs._unfinished(tmp_path / "field", settings, read_dataset(dataset, "test"))  # other images: anew
     result = verbs.train_field(dataset, tmp_path / "field", steps=8)
@@ -86,7 +87,7 @@ def test_a_scene_is_measured_and_described(scene, dataset):
     assert result["kind"] == "scene" and result["psnr"] > 45 and result["ssim"] > 0.99
     about = verbs.info(scene)
     snerg = read_scene(scene)
-    assert about["voxels"] == [40, 36, 44] and about["blocks"] == len(snerg.cells) and about["effects"] == {"view_dependence": True}
+    assert about["voxels"] == [40, 36, 44] and about["blocks"] == len(snerg.cells) and about["effects"]["view_dependence"]
     assert about["megabytes"] == pytest.approx(describe.folder_bytes(scene) / 1e6, abs=1e-3)
 
 
