@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from .codecs import PLANES, atlas_blocks, cells_from_slices, slices
 
 FORMAT = "snerg-scene"
 VERSION = 2
+IN_FLIGHT = 4  # pictures that wait to be written: what is in memory beside the scene stays small (hard case 56)
 Progress = Callable[[float, str], None]
 
 
@@ -52,8 +54,15 @@ def write_slices(snerg: Snerg, folder: Path, progress: Progress) -> None:
     blocks = atlas_blocks(len(snerg.cells))
     total = blocks[2] * CELL_VOXELS // PLANES
     with ThreadPoolExecutor(2) as pool:
-        for done, _ in enumerate(pool.map(lambda item: write(*item), enumerate(slices(snerg.cells, blocks)))):
-            progress((done + 1) / total, "Writing the atlas")
+        jobs: deque[Future[None]] = deque()
+        for index, picture in enumerate(slices(snerg.cells, blocks)):
+            if len(jobs) == IN_FLIGHT:
+                jobs.popleft().result()
+            jobs.append(pool.submit(write, index, picture))
+            progress(index / total, "Writing the atlas")
+        for job in jobs:
+            job.result()
+    progress(1.0, "Writing the atlas")
 
 
 def scene_json(snerg: Snerg) -> dict[str, Any]:

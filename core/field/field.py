@@ -14,6 +14,7 @@ from ..capture.ndc import Ndc
 from ..errors import SnergError
 from .networks import Family, ViewNetwork, field_inputs, field_outputs
 from .sampling import Domain, cell_index
+from .shading import sample_values
 
 CHUNK = 65536  # points a call: one compiled shape, and temporaries that stay in reach of the caches
 
@@ -58,9 +59,34 @@ class Field:
         A diffuse field may have no features: [N, 3].
         """
         density, values = in_chunks(self._compiled, x)
-        if not np.isfinite(density).all():
-            raise SnergError("The field gives densities that are not finite; train it again, or import an undamaged checkpoint.")
+        return self._finite(density, values)
+
+    def _finite(self, density: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for what, array in (("densities", density), ("colours", values)):
+            if not np.isfinite(array).all():
+                raise SnergError(f"The field gives {what} that are not finite; train it again, or import an undamaged checkpoint.")
         return density, values
+
+    @cached_property
+    def _compiled_seen(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
+        import jax
+
+        def seen(params: Any, inputs: Any, directions: Any) -> tuple[Any, Any]:
+            density, values = field_outputs(jax.numpy, self.family, params["field"], inputs)
+            return density, sample_values(jax.numpy, self.view, self.family, params, values, directions)
+
+        inputs = jax.jit(lambda x: field_inputs(jax.numpy, self.family, x))
+        compiled = jax.jit(seen)
+        params = jax.device_put({"field": self.params, "view": self.network})
+        return lambda x: compiled(params, inputs(x[:, :3]), x[:, 3:])
+
+    def seen(self, x: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`evaluate`, with values as they are composited along unit directions [N, 3] of the world: RGB [N, 3] where view
+        dependence is a sample's own ('sample', 'tiny')."""
+        if self.view not in ("sample", "tiny"):
+            return self.evaluate(x)
+        density, values = in_chunks(self._compiled_seen, np.concatenate([x, directions], axis=-1, dtype=np.float32))
+        return self._finite(density, values)
 
     def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points [N, 3] of the field's space to density [N] per unit of it, RGB [N, 3], features [N, 4] or [N, 0] (JAX).

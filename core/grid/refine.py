@@ -26,7 +26,8 @@ Progress = Callable[[float, str], None]
 class RefineSettings:
     """pixels: gathered over all training views. batch: a step. rate: of Adam, falling to a tenth by cosine (the paper's 3e-4
     is for 100 epochs; here a larger one for fewer). epochs: at most. patience: epochs without a gain after which it stops.
-    seed: of the pixels and their order.
+    seed: of the pixels and their order. background: RGB in [0, 1] that the field was trained over: behind the images' alpha, and
+    behind what lets light through.
     """
 
     pixels: int = 1_000_000
@@ -35,6 +36,7 @@ class RefineSettings:
     epochs: int = 24
     patience: int = 4
     seed: int = 0
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,20 +80,28 @@ def refine(
 
 
 def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: Progress) -> Gathered:
-    """March a random share of every view's pixels, and keep those where the network runs."""
+    """March a random share of every view's pixels, and keep those where the network runs and the view's mask does not hide them.
+
+    The network is defined over white: another background adds to the image, over white, what white adds to the scene.
+    """
+    dark = 1 - np.array(settings.background, np.float32)
     rng = np.random.default_rng(settings.seed)
     share = min(1.0, 2 * settings.pixels / sum(c.width * c.height for c in dataset.cameras))
     parts = []
     for i, camera in enumerate(dataset.cameras):
-        image = dataset.read(i)
+        image, mask = dataset.read(i), dataset.mask(i)
         index = np.sort(rng.choice(camera.width * camera.height, max(1, int(share * camera.width * camera.height)), replace=False))
         row, column = np.divmod(index, camera.width)
         origins, directions = camera.rays(np.stack([column, row], axis=-1))
         rays = march_rays(snerg, origins, directions, MarchSettings(), near=max(snerg.near, camera.near))
-        seen = np.flatnonzero(rays.transmittance <= NETWORK_TRANSMITTANCE)
+        used = rays.transmittance <= NETWORK_TRANSMITTANCE
+        seen = np.flatnonzero(used if mask is None else used & mask[row, column])
         colour = rays.colour[seen] + rays.transmittance[seen, None]
         towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
-        parts.append((colour, rays.features[seen], towards, over_white(image[row[seen], column[seen]])))
+        pixels = image[row[seen], column[seen]]
+        clear = 1 - pixels[:, 3:].astype(np.float32) / 255 if pixels.shape[-1] == 4 else np.float32(0)
+        wanted = over_white(pixels) + dark * (rays.transmittance[seen, None] - clear)
+        parts.append((colour, rays.features[seen], towards, wanted))
         progress((i + 1) / len(dataset.cameras), f"Marching training view {i + 1} of {len(dataset.cameras)}")
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = rng.permutation(len(columns[0]))[: settings.pixels]

@@ -9,12 +9,13 @@ from scenes import looking, make_dataset, random_network
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.field.networks import ViewNetwork
+from snerg.core.field.field import Field
+from snerg.core.field.networks import HashFamily, ViewNetwork, view_residual
 from snerg.core.field.sampling import Domain
 from snerg.core.grid.bake import BakeSettings, Lattice, bake
 from snerg.core.grid.box import Box
 from snerg.core.grid.march import march
-from snerg.core.grid.refine import RefineSettings, refine
+from snerg.core.grid.refine import RefineSettings, gather, refine
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,64 @@ def test_fog_keeps_its_optical_depth():
     snerg = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
     frame = march(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
     assert frame.alpha[4, 4] == pytest.approx(-np.expm1(-0.5 * 1.2), abs=0.02)
+
+
+@pytest.mark.hard_case(38)
+def test_fog_is_as_thick_at_any_resolution():
+    """Opacity is stored for a step of one voxel, and a step is one voxel long, across the grid and along it."""
+
+    class Fog(Ball):
+        def query(self, points):
+            density = np.where(np.abs(points[:, 1]) < 0.5, 1.3, 0).astype(np.float32)
+            return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
+
+    camera = camera_at((0, -3, 0), 8).resized(8, 8)
+    slant = -camera.rays()[1] @ camera.camera_to_world[:3, 2]
+    closed = -np.expm1(-1.3 / slant).reshape(8, 8)
+    for resolution in (20, 40, 110):
+        frame = march(bake(Fog(), BOX, (), BakeSettings(resolution, samples=8)), camera)
+        assert np.abs(frame.alpha - closed)[2:6, 2:6].max() < 0.015, resolution
+
+
+@dataclass(frozen=True, eq=False)
+class Given(Field):
+    """A field whose network gives just these two values, everywhere but for a small corner that is empty and colourless."""
+
+    density: float = 400.0
+    colour: float = 0.5
+
+    @property
+    def _compiled(self):
+        def outputs(x):
+            corner = (x > 0.5).all(axis=-1)
+            return np.where(corner, self.density, 0).astype(np.float32), np.where(corner[:, None], self.colour, 0.5).repeat(3, axis=-1)
+
+        return outputs
+
+
+@pytest.mark.hard_case(47, 59)
+@pytest.mark.parametrize(("values", "named"), [((np.nan, 0.5), "densities"), ((np.inf, 0.5), "densities"), ((400.0, np.nan), "colours")])
+def test_a_block_that_is_not_finite_is_an_error(values, named):
+    domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
+    with pytest.raises(SnergError, match=f"{named} that are not finite"):
+        bake(Given(HashFamily(), {}, None, domain, None, 0.01, (), "", {}, None, "diffuse", *values), BOX, (), BakeSettings(64))
+
+
+@pytest.mark.hard_case(50)
+def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
+    """In a grid as fine as there may be, far from the origin; half precision would be a seventh of a voxel off at 512."""
+    from scenes import rotation
+
+    centre = np.array([2e5, -1e5, 3e5])
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), centre
+    lattice = Lattice.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 4096)
+    domain = Domain.around(centre - 2, centre + 2)
+    voxels = np.random.default_rng(0).integers(0, lattice.shape, (1000, 3))
+    found = domain.from_world(lattice.points(voxels))
+    assert found.dtype == np.float32
+    exact = ((voxels + 0.5 - np.array(lattice.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
+    assert np.abs(found - exact).max() < 1e-3 * (2 / 4096) / 2
 
 
 @pytest.mark.hard_case(44)
@@ -183,6 +242,37 @@ def test_refining_gains_and_never_loses(tmp_path):
     assert better.network is not None and not np.array_equal(better.network.weights_2, snerg.network.weights_2)
     again, _ = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
     assert np.array_equal(again.network.weights_0, better.network.weights_0)
+
+
+@pytest.mark.hard_case(8, 43)
+def test_what_refining_aims_at():
+    """Masked pixels are left out; over another background the network, which is defined over white, has the same to make up for."""
+
+    class Views:
+        def __init__(self, mask, image):
+            self.cameras, self.hidden, self.image = (camera_at((0, -3.5, 0.5), 16),), mask, image
+
+        def read(self, index):
+            return self.image
+
+        def mask(self, index):
+            return self.hidden
+
+    snerg = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
+    frame = march(snerg, camera_at((0, -3.5, 0.5), 16))
+    mask = np.zeros((16, 16), bool)
+    mask[4:9, 5:11] = True
+    alpha = frame.alpha[..., None]
+    for background in ((1.0, 1.0, 1.0), (0.0, 0.2, 1.0)):
+        settings = RefineSettings(background=background)
+        opaque = np.rint(frame.over(background) * 255).astype(np.uint8)
+        cut_out = np.rint(np.concatenate([np.clip(frame.colour / np.maximum(alpha, 1e-6), 0, 1), alpha], axis=-1) * 255).astype(np.uint8)
+        for image in (opaque, cut_out):
+            whole = gather(snerg, Views(None, image), settings, lambda f, w: None)
+            part = gather(snerg, Views(mask, image), settings, lambda f, w: None)
+            assert len(part.colour) == 30 < len(whole.colour)
+            final = whole.colour + view_residual(np, snerg.network, whole.colour, whole.features, whole.directions)
+            assert np.abs(np.clip(final, 0, 1) - np.clip(whole.wanted, 0, 1)).max() < 0.02
 
 
 def test_a_diffuse_scene_is_not_refined(tmp_path):

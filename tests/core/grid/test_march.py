@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oracle import dense_march, dense_rays
-from scenes import empty_snerg, make_cameras, make_snerg, snerg_from_volume
+from scenes import empty_snerg, looking, make_cameras, make_snerg, snerg_from_volume
 from snerg.core.capture.camera import Camera
 from snerg.core.errors import Cancelled
 from snerg.core.grid.march import MarchSettings, chebyshev, march, march_rays, tables_of
@@ -95,6 +95,22 @@ def test_a_slab_is_as_thick_as_it_is_in_the_world():
     got = march_rays(snerg, np.array([[0.3, 0.3, -1]]), np.array([[0.0, 0, 1]]))
     # 60 samples a voxel apart; the first and last stand on the outer voxels' centres.
     assert got.transmittance[0] == pytest.approx((1 - 26 / 255) ** 60, rel=1e-3)
+
+
+@pytest.mark.hard_case(40)
+@pytest.mark.parametrize("projection", ["orthographic", "perspective"])
+def test_a_camera_at_any_distance_reaches_the_scene(projection):
+    """1e9 voxels away a distance that grows by 1 in single precision would stand still."""
+    snerg = make_snerg(shape=(34, 30, 40), diffuse=True)
+    frames = []
+    for distance in (10.0, 1e9 * snerg.voxel_size):
+        focal = 5.0 if projection == "orthographic" else 5.0 * distance
+        camera = Camera(12, 12, (focal,) * 2, (6, 6), looking((0, -distance, 0), (0, 0, 0)), projection)
+        frames.append(march(snerg, camera))
+        seen = frames[-1].alpha > 0.5
+        assert seen.any() and np.abs(frames[-1].depth[seen] - distance).max() < 1.5 + 3e-7 * distance
+    if projection == "orthographic":
+        assert np.abs(frames[0].over() - frames[1].over()).max() < 1 / 255
 
 
 def test_depth_of_a_wall():
