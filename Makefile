@@ -13,7 +13,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo test test-slow lint format extension clean python
+.PHONY: setup demo bench-train test test-slow lint format extension clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -41,6 +41,10 @@ build/viewer.stamp: node_modules/.installed $(shell find core/export/viewer -typ
 
 demo: setup
 	$(PY) demo/run.py
+
+# DATA=FOLDER: with lego400, fern and fox (default: $SNERG_DATA). ROWS=lego-2,fern: only those.
+bench-train: setup
+	$(PY) bench/train.py $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
 
 test: setup
 	$(PY) -m pytest

@@ -7,10 +7,24 @@ from typing import Any
 
 def classes() -> tuple[type[Any], ...]:
     """Every operator, for registration; imported here so that the package itself imports without Blender."""
-    from . import add_box, bake, cancel, export_scene, export_web, import_field, import_scene, open_folder, preview, render_dataset, train
+    from . import (
+        add_box,
+        bake,
+        cancel,
+        export_scene,
+        export_web,
+        import_dataset,
+        import_field,
+        import_scene,
+        open_folder,
+        preview,
+        render_dataset,
+        train,
+    )
 
     return (
         render_dataset.SNERG_OT_render_dataset,
+        import_dataset.SNERG_OT_import_dataset,
         train.SNERG_OT_train,
         import_field.SNERG_OT_import_field,
         import_scene.SNERG_OT_import_scene,

@@ -6,10 +6,9 @@ import bpy
 import numpy as np
 
 from ..core.grid.box import Box
-from ..snerg_addon.bridge import set_box
+from ..snerg_addon.bridge import add_box
 from ..snerg_addon.capture import evaluated
 
-NAME = "SNeRG Box"
 MARGIN = 1.05
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "CURVES", "POINTCLOUD"}
 
@@ -31,16 +30,11 @@ class SNERG_OT_add_box(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Make the empty, choose it, and make it the scene's box."""
-        box = fitted_box(context)
-        empty = bpy.data.objects.new(NAME, None)
-        context.scene.collection.objects.link(empty)
-        set_box(empty, box)
-        empty.show_name = True
+        empty = add_box(fitted_box(context), context.scene)
         for thing in context.selected_objects:
             thing.select_set(False)
         empty.select_set(True)
         context.view_layer.objects.active = empty
-        context.scene.snerg.box = empty
         return {"FINISHED"}
 
 

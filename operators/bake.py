@@ -25,11 +25,15 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
+        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in.
+
+        A forward-facing field is baked whole: its grid lies in device coordinates, where no box of the scene's is a box.
+        """
         settings = context.scene.snerg
+        forward = bool(project.notes().get("field", {}).get("ndc"))
         arguments = ["bake", str(project.field), "--out", str(project.scene)]
         arguments += ["--resolution", str(settings.resolution), "--samples", str(settings.samples)]
-        if settings.box:
+        if settings.box and not forward:
             box = box_from_blender(settings.box, evaluated(context.scene))
             write_bytes(project.box, json_bytes(box.to_json()))
             arguments += ["--box", str(project.box)]

@@ -117,7 +117,7 @@ class LongVerb:
 
 
 MISSING = {
-    "dataset": "There is no dataset; render one, or choose a folder with a transforms_train.json",
+    "dataset": "There is no dataset; render or import one",
     "field": "There is no field; train or import one",
     "scene": "There is no baked scene; bake or import one",
 }

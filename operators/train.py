@@ -23,13 +23,26 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`train` of the command line."""
-        settings = context.scene.snerg
-        length = ["--steps", str(settings.steps)] if settings.steps else ["--minutes", f"{settings.minutes:g}"]
-        arguments = ["train", str(project.dataset), "--out", str(project.field), "--preset", settings.preset, "--seed", str(settings.seed)]
-        return start_verb([*arguments, *length])
+        arguments = training_arguments(context.scene, project)
+        project.note("training", {"arguments": arguments})
+        return start_verb(arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
-        remember(project, "field", project.field, result)
+        """Note what it came to, and why it went as it did."""
+        remember(project, "field", project.field, result, decisions=result.get("decisions", []))
         quality = f" at {result['psnr']:.1f} dB" if isinstance(result.get("psnr"), float) else ""
         return f"Trained the field{quality}; it is in {project.field}"
+
+
+def training_arguments(scene: bpy.types.Scene, project: Project) -> list[str]:
+    """What to start: an unfinished training goes on only with the same."""
+    settings = scene.snerg
+    background = settings.train_background
+    if background == "colour":
+        background = "#{:02x}{:02x}{:02x}".format(*(round(255 * value) for value in settings.train_colour))
+    return [
+        *("train", str(project.dataset), "--out", str(project.field), "--preset", settings.preset, "--seed", str(settings.seed)),
+        *(("--steps", str(settings.steps)) if settings.steps else ("--minutes", f"{settings.minutes:g}")),
+        *("--view-dependence", settings.view_dependence, "--background", background),
+        *("--holdout", str(settings.test_every), "--downscale", str(settings.downscale)),
+    ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -73,6 +75,68 @@ class Steps:
         except BaseException:
             self._steps.close()
             raise
+        return outcome(self.state, self.result, self.error)
+
+
+class Thought:
+    """Work that needs nothing of Blender and yet belongs into its process, in a thread of its own: reading, mostly.
+
+    think: called with progress(fraction, message), which raises Cancelled when it shall stop; what it returns is the result.
+    """
+
+    def __init__(self, think: Callable[[Callable[[float, str], None]], dict[str, Any]]) -> None:
+        self.state: State = "running"
+        self.fraction = 0.0
+        self.message = "Starting"
+        self.result: dict[str, Any] = {}
+        self.error = ""
+        self._ended: tuple[State, Any] | None = None
+        self._cancelled = False
+        self._thread = threading.Thread(target=self._run, args=(think,), daemon=True, name="snerg-thought")
+        self._thread.start()
+
+    def _run(self, think: Callable[[Callable[[float, str], None]], dict[str, Any]]) -> None:
+        try:
+            self._ended = "done", think(self._told)
+        except Cancelled as stop:
+            self._ended = "cancelled", str(stop)
+        except SnergError as error:
+            self._ended = "failed", str(error)
+        except Exception as error:  # a bug, but one that must not leave the panel waiting for ever
+            traceback.print_exc()
+            self._ended = "failed", f"Something went wrong that should not ({type(error).__name__}: {error}); please report it."
+
+    def _told(self, fraction: float, message: str) -> None:
+        if self._cancelled:
+            raise Cancelled("Stopped as you asked; nothing was changed.")
+        self.fraction, self.message = fraction, message
+
+    @property
+    def cancelling(self) -> bool:
+        """Told to stop, and not yet there."""
+        return self.state == "running" and self._cancelled
+
+    def poll(self) -> bool:
+        """True while it goes on."""
+        if self.state == "running" and not self._thread.is_alive() and self._ended is not None:
+            self.state = self._ended[0]
+            if self.state == "done":
+                self.result, self.fraction = self._ended[1], 1.0
+            else:
+                self.error = self._ended[1]
+        return self.state == "running"
+
+    def cancel(self) -> None:
+        """Stop when it next tells how it goes."""
+        self._cancelled = True
+
+    def wait(self, progress: Callable[[float, str], None] | None = None) -> dict[str, Any]:
+        """Wait for it and return the result. Raises as Job.wait does."""
+        while self._thread.is_alive():
+            self._thread.join(0.05)
+            if progress:
+                progress(self.fraction, self.message)
+        self.poll()
         return outcome(self.state, self.result, self.error)
 
 

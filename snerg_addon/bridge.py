@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -17,6 +18,7 @@ from ..core.grid.box import Box
 
 SENSOR = 36.0  # mm across the picture, of cameras that we make
 PREVIEW = "SNeRG Preview"
+BOX = "SNeRG Box"
 
 
 def resolution(scene: bpy.types.Scene) -> tuple[int, int]:
@@ -63,9 +65,10 @@ def camera_from_blender(
 
 
 def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene | None = None) -> None:
-    """Make a Blender camera see what `source` sees; `scene`, if given, takes its size and pixel aspect.
+    """Make a Blender camera see what `source` sees, but for its lens's distortion, which Blender's cameras do not have.
 
-    Without the scene's pixel aspect, pixels that are not square would come out square.
+    `scene`, if given, takes its size and pixel aspect. A scene has one of each: of a camera with another picture, what the
+    scene's picture is wide is right, and pixels that are not square come out as the scene's are.
     """
     data, (width, height) = camera.data, (source.width, source.height)
     aspect = source.focal[0] / source.focal[1]  # of a pixel: its height over its width
@@ -80,9 +83,53 @@ def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene 
         data.clip_start = source.near
     camera.matrix_world = Matrix(source.camera_to_world.tolist())
     if scene is not None:
-        render = scene.render
-        render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
-        render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
+        set_picture(scene, source)
+
+
+def set_picture(scene: bpy.types.Scene, source: Camera) -> None:
+    """Give a scene the size and the pixel aspect of a camera's picture."""
+    render, aspect = scene.render, source.focal[0] / source.focal[1]
+    render.resolution_x, render.resolution_y, render.resolution_percentage = source.width, source.height, 100
+    render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
+
+
+def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int]) -> None:
+    """Show a picture of `size` behind everything when looking through a camera that `set_camera` set: as wide as its view."""
+    width, height = resolution(scene)
+    aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x  # Blender takes the picture's own pixels for square
+    taller = size[1] / size[0] - height * aspect / width
+    background = camera.data.background_images.new()
+    background.image = bpy.data.images.load(str(path), check_existing=True)  # its pixels wait until it is looked at
+    background.alpha, background.display_depth = 1.0, "BACK"
+    background.frame_method = "STRETCH" if size == (width, height) else "CROP" if taller > 0 else "FIT"
+    camera.data.show_background_images = True
+
+
+def add_points(name: str, points: np.ndarray, colours: np.ndarray | None, collection: bpy.types.Collection) -> bpy.types.Object:
+    """A mesh of bare vertices [N, 3], with their sRGB colours [N, 3] uint8 as the attribute 'Color' where there are any."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(points))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(points, np.float32).ravel())
+    if colours is not None:
+        rgba = np.ones((len(points), 4), np.float32)
+        rgba[:, :3] = np.asarray(colours, np.float32) / 255
+        attribute = mesh.color_attributes.new(name="Color", type="BYTE_COLOR", domain="POINT")
+        attribute.data.foreach_set("color_srgb", rgba.ravel())
+    mesh.update()
+    thing = bpy.data.objects.new(name, mesh)
+    thing.hide_render = True
+    collection.objects.link(thing)
+    return thing
+
+
+def add_box(box: Box, scene: bpy.types.Scene, name: str = BOX) -> bpy.types.Object:
+    """A cube empty that shows a box, as the scene's box to bake."""
+    empty = bpy.data.objects.new(name, None)
+    scene.collection.objects.link(empty)
+    set_box(empty, box)
+    empty.show_name = True
+    scene.snerg.box = empty
+    return empty
 
 
 @contextmanager

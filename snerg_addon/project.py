@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 
+from ..core.describe import is_dataset
 from ..core.errors import SnergError
 from ..core.files import json_bytes, read_json, write_bytes
 
@@ -62,15 +63,14 @@ class Project:
 
     def has(self, step: str) -> bool:
         """Whether the work of 'dataset', 'field', 'scene', 'reference' or 'web' is there."""
+        if step == "dataset":
+            return is_dataset(self.dataset)
         marks = {
-            "dataset": self.dataset / "transforms_train.json",
             "field": self.field / "field.npz",
             "scene": self.scene / "scene.json",
             "reference": self.reference / "scene_params.json",
             "web": self.web / "index.html",
         }
-        if step == "dataset":
-            return marks[step].is_file() or (self.dataset / "transforms.json").is_file()
         return marks[step].is_file()
 
     def note(self, step: str, facts: dict[str, Any]) -> None:
@@ -120,7 +120,7 @@ def folder_bytes(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
-def remember(project: Project, step: str, folder: Path, facts: dict[str, Any]) -> None:
-    """Note a step's JSON-able facts and the size of what it left."""
+def remember(project: Project, step: str, folder: Path, facts: dict[str, Any], **more: Any) -> None:
+    """Note a step's simple facts, `more` that are JSON values of any kind, and the size of what it left."""
     simple = {key: value for key, value in facts.items() if isinstance(value, str | int | float | bool)}
-    project.note(step, {**simple, "bytes": folder_bytes(folder)})
+    project.note(step, {**simple, **more, "bytes": folder_bytes(folder)})

@@ -28,7 +28,8 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     dataset: StringProperty(
         name="Dataset",
-        description="A folder with transforms_train.json and its images to train on. Empty: the one rendered into the project folder",
+        description="What to train on: a folder with a transforms.json, poses_bounds.npy or COLMAP model and its images. "
+        "Empty: what was rendered into the project folder",
         subtype="DIR_PATH",
         options=RELATIVE_PATHS,
         default="",
@@ -46,10 +47,19 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     test_every: IntProperty(
         name="Hold Out Every",
-        description="Every n-th camera is kept out of training, to measure the quality on. 0 keeps none out",
+        description="Every n-th view is kept out of training, to measure the quality on, where the dataset does not say which. "
+        "0 keeps none out",
         default=8,
         min=0,
         soft_max=20,
+    )
+    downscale: IntProperty(
+        name="Downscale",
+        description="Train on pictures this many times smaller along each side: faster, and less sharp",
+        default=1,
+        min=1,
+        soft_max=8,
+        max=64,
     )
     rig_count: IntProperty(name="Cameras", description="How many cameras the rig has", default=100, min=1, soft_max=500)
     rig_shape: EnumProperty(
@@ -82,9 +92,43 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         description="The kind of field to train",
         items=[
             ("fast", "Fast", "A hash grid with a small network: good in minutes on a CPU"),
-            ("paper", "Paper", "The large network of the paper: hours, and best on a GPU"),
+            ("mlp", "MLP", "A network as in the paper, on the samples of Fast: to compare with"),
+            ("paper-small", "Paper, Small", "The smaller networks of the paper, coarse and fine: hours on a GPU"),
+            ("paper", "Paper", "The large networks of the paper, coarse and fine: many hours on several GPUs"),
         ],
         default="fast",
+    )
+    view_dependence: EnumProperty(
+        name="View Dependence",
+        description="What may look different from different sides",
+        items=[
+            ("auto", "Auto", "Deferred or diffuse, whichever the pictures call for"),
+            ("deferred", "Deferred", "Highlights from one small network a pixel, as a baked scene has them"),
+            ("diffuse", "Diffuse", "None: the smallest and fastest scenes"),
+            ("sample", "Per Sample", "NeRF's own, at every sample. It cannot be baked: to compare with"),
+            ("tiny", "Tiny, per Sample", "The small network at every sample. It cannot be baked: to compare with"),
+        ],
+        default="auto",
+    )
+    train_background: EnumProperty(
+        name="Background",
+        description="What stands behind the transparent parts of the pictures in training",
+        items=[
+            ("white", "White", ""),
+            ("black", "Black", ""),
+            ("random", "Random", "Another colour each time: what is transparent becomes empty"),
+            ("colour", "Colour", "One of your own"),
+        ],
+        default="white",
+    )
+    train_colour: FloatVectorProperty(
+        name="Colour",
+        description="What stands behind the transparent parts of the pictures in training",
+        subtype="COLOR_GAMMA",
+        size=3,
+        default=(0.5, 0.5, 0.5),
+        min=0.0,
+        max=1.0,
     )
     minutes: FloatProperty(
         name="Minutes",

@@ -25,7 +25,8 @@ def addon() -> Iterator[None]:
 @pytest.fixture
 def scene(addon: None, tmp_path: Path) -> Any:
     """An empty scene with a white world, set to render quickly, whose project lies in a folder of the test's own."""
-    for things in (bpy.data.objects, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights, bpy.data.images):
+    emptied = (bpy.data.objects, bpy.data.collections, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights)
+    for things in (*emptied, bpy.data.images):
         for thing in list(things):
             things.remove(thing)
     for other in list(bpy.data.scenes)[1:]:

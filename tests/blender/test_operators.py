@@ -28,7 +28,7 @@ def files(scene) -> list[str]:
 
 
 def test_each_step_says_what_it_is_waiting_for(scene):
-    assert next_step(scene) == "Next: render a dataset"
+    assert next_step(scene) == "Next: render or import a dataset"
     for verb, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
