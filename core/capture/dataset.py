@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import SnergError
 from ..grid.box import Box
 from .camera import Camera
-from .images import read_image, read_mask, reduced
+from .images import read_image, read_mask, read_size, reduced
 
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
@@ -92,8 +92,10 @@ class Dataset:
         seen = view.camera.sees()
         if view.mask is None:
             return seen
-        white = read_mask(view.mask, view.camera.width, view.camera.height, view.mask_hides)
-        return white if seen is None else white & seen
+        width, height, factor = view.camera.width, view.camera.height, view.factor
+        use = read_mask(view.mask, *read_size(view.image), view.mask_hides)[: height * factor, : width * factor]
+        use = use.reshape(height, factor, width, factor).all(axis=(1, 3))
+        return use if seen is None else use & seen
 
     def splits(self) -> tuple[str, ...]:
         """The names of the splits there are, 'train' first."""

@@ -35,7 +35,7 @@ MODELS = {  # COLMAP's numbers: (name, how many parameters)
 COUNTS = {name: count for name, count in MODELS.values()}
 ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
-FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "")
+FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")
 MAX_BYTES = 2**32
 MAX_NAME = 4096
 NOISE = (0.1, 99.9)  # percentiles of a view's depths that count as its nearest and farthest, as LLFF takes them
@@ -86,7 +86,7 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
     folder = _model_folder(path)
     if folder is None:
         raise SnergError(f"{path} has no COLMAP model (cameras.bin and images.bin, or .txt); check the path.")
-    root = _root(path, folder)
+    root = _root(path)
     lenses, shots, points = read_model(folder)
     if not shots:
         raise SnergError(f"The COLMAP model {folder} has no images; a dataset needs images with their cameras.")
@@ -223,7 +223,8 @@ def binary_points(path: Path) -> Points:
     rows = []
     for _ in range(file.count(51)):
         number, x, y, z, red, green, blue, _ = file.take("Q3d3Bd")
-        file.at += 8 * file.count(8)
+        seen_by = file.count(8)
+        file.at += 8 * seen_by
         rows.append((number, x, y, z, red, green, blue))
     return _points(rows)
 
@@ -339,11 +340,10 @@ def _model_folder(path: Path) -> Path | None:
     return None
 
 
-def _root(path: Path, folder: Path) -> Path:
-    """The folder with the images: `path`, or above a model that was named itself."""
-    if folder != path.resolve():
-        return path
-    for root in (path, folder.parent, folder.parent.parent, folder.parent.parent.parent):
+def _root(path: Path) -> Path:
+    """The folder with the images: `path`, or above it where the model itself was named."""
+    path = path.resolve()
+    for root in (path, path.parent, path.parent.parent):
         if any(p.is_dir() for p in root.glob("images*")):
             return root
     return path
