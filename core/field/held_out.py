@@ -71,4 +71,4 @@ def _host(tree: Any) -> Any:
 def some_views(dataset: Dataset) -> Dataset:
     """At most HELD_OUT_VIEWS of its views, spread evenly."""
     chosen = np.unique(np.linspace(0, len(dataset.views) - 1, HELD_OUT_VIEWS).round().astype(int))
-    return replace(dataset, views=tuple(dataset.views[i] for i in chosen))
+    return replace(dataset, views=tuple(dataset.views[i] for i in chosen), bounds=None)

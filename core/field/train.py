@@ -17,9 +17,10 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
-from ..capture.dataset import Dataset, read_dataset
+from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
+from ..progress import Note
 from . import decide, trial
 from .checkpoint import read_field_and_state, write_field
 from .field import Field
@@ -38,6 +39,7 @@ Progress = Callable[[float, str], None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
+TELL_EVERY = 0.5  # seconds
 
 
 class Scheme(Protocol):
@@ -143,9 +145,7 @@ class Trainer:
     def _space(self, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
         """Where the scene is: the field's domain, its device coordinates if it has any, and the cells that may hold something."""
         data = self.dataset
-        decision, ndc = decide.forward_facing(
-            self.settings.ndc, data.cameras, getattr(data, "points", None), getattr(data, "bounds", None), self.pool.alpha
-        )
+        decision, ndc = decide.forward_facing(self.settings.ndc, data.cameras, data.points, data.bounds, self.pool.alpha)
         self.decide(decision)
         if ndc is not None:
             return *decide.seen_in_ndc(ndc, data.cameras), ndc  # type: ignore[return-value]
@@ -200,7 +200,7 @@ class Trainer:
             if self.undecided and self.fraction() >= trial.AT:
                 with closing(trial.run(self)) as trying:
                     for note in trying:
-                        if (now := time.perf_counter() - began) - told > 0.5:
+                        if (now := time.perf_counter() - began) - told > TELL_EVERY:
                             told = now
                             yield self.told(note)
             self.advance()
@@ -210,7 +210,7 @@ class Trainer:
                 self.score = decibels(float(self.errors(self.held_out).mean()))
                 took = time.perf_counter() - began - self.elapsed
                 scored = self.elapsed + max(took / SCORE_SHARE - SCORE_EVERY, 0)
-            if ended or self.elapsed - told > 0.5:
+            if ended or self.elapsed - told > TELL_EVERY:
                 told = self.elapsed
                 yield self.told()
 
@@ -271,7 +271,7 @@ class Trainer:
             dataset=str(self.dataset.root.resolve()),
             about={
                 "settings": asdict(self.settings),
-                "dataset_options": asdict(self.dataset.options) if hasattr(self.dataset, "options") else {},
+                "dataset_options": asdict(self.dataset.options),
                 "decisions": [d.to_json() for d in self.decisions],
                 "steps": self.step,
                 "seconds": round(self.elapsed, 2),
@@ -347,18 +347,15 @@ def keep_memory() -> None:
 
 def masks_of(dataset: Dataset) -> list[np.ndarray | None]:
     """What is to be used of each view, bool [H, W], None for all of it."""
-    mask = getattr(dataset, "mask", lambda i: None)
-    return [mask(i) for i in range(len(dataset.views))]
+    return [dataset.mask(i) for i in range(len(dataset.views))]
 
 
 def held_out_of(dataset: Dataset) -> Dataset | None:
     """Views of the same scene that `dataset` does not have: some of its 'val' or 'test' split, None where there is none."""
-    there = dataset.splits() if hasattr(dataset, "splits") else ("val", "test")
-    for split in ("val", "test"):
-        if split in there and split != dataset.split:
+    for split in HELD_OUT:
+        if split in dataset.splits() and split != dataset.split:
             try:
-                more = {"options": dataset.options} if hasattr(dataset, "options") else {}
-                return some_views(read_dataset(dataset.root, split, **more))
+                return some_views(read_dataset(dataset.root, split, dataset.options))
             except SnergError:
                 continue  # images that training does not need
     return None
@@ -383,7 +380,7 @@ def train(
         if state:
             trainer.restore(state, old.about.get("decisions"))
     for decision in trainer.decisions:
-        progress(trainer.fraction(), decision.text())
+        progress(trainer.fraction(), Note(decision.text()))
     keeper = Keeper(trainer, folder, save_every) if trainer.devices.writes else None
     known = len(trainer.decisions)
     try:
@@ -391,7 +388,7 @@ def train(
             for told in run:
                 progress(told.fraction, told.text())
                 for decision in trainer.decisions[known:]:
-                    progress(told.fraction, decision.text())
+                    progress(told.fraction, Note(decision.text()))
                 known = len(trainer.decisions)
                 if keeper:
                     keeper(told)
