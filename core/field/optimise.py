@@ -32,10 +32,11 @@ def clipped(settings: TrainSettings, gradient: Any) -> Any:
         limit = settings.clip_value
         gradient = jax.tree.map(lambda g: jnp.clip(g, -limit, limit), gradient)
     if settings.clip_norm is not None:
-        leaves = jax.tree.leaves(gradient)
+        limit, leaves = settings.clip_norm, jax.tree.leaves(gradient)
         largest = jnp.maximum(jnp.stack([jnp.abs(g).max() for g in leaves]).max(), 1e-30)
-        norm = largest * jnp.sqrt(sum(jnp.sum((g / largest) ** 2) for g in leaves))
-        gradient = jax.tree.map(lambda g: g * jnp.minimum(1, settings.clip_norm / jnp.maximum(norm, 1e-30)), gradient)
+        norm = jnp.sqrt(sum(jnp.sum((g / largest) ** 2) for g in leaves))  # in units of the largest
+        fits = largest * norm <= limit
+        gradient = jax.tree.map(lambda g: jnp.where(fits, g, g / largest * (limit / norm)), gradient)
     return gradient
 
 

@@ -57,3 +57,23 @@ def composite(xnp: Any, depth: Any, values: Any, ray: Any, rays: int) -> tuple[A
     sums = xnp.zeros((rays, values.shape[-1])).at[ray].add(weights[:, None] * values, indices_are_sorted=True)
     total = xnp.zeros(rays).at[ray].add(depth, indices_are_sorted=True)
     return sums, xnp.exp(-total), weights
+
+
+def composite_rows(xnp: Any, depth: Any, values: Any) -> tuple[Any, Any, Any]:
+    """`composite` of rays that all have as many samples. depth: [R, K]; values: [R, K, C].
+
+    Returns (composited values [R, C], transmittance [R], weights [R, K]).
+    """
+    behind = xnp.cumsum(depth, axis=-1)
+    before = xnp.concatenate([xnp.zeros_like(depth[:, :1]), behind[:, :-1]], axis=-1)
+    weights = xnp.exp(-before) * opacity(xnp, depth)
+    return (weights[..., None] * values).sum(axis=1), xnp.exp(-behind[:, -1]), weights
+
+
+def mean_distance(xnp: Any, gathered: Any, alpha: Any, nothing: float = np.inf) -> Any:
+    """Distance [N] of what a ray sees, from the composited distance [N] and its opacity [N]; `nothing` where it sees nothing.
+
+    Both branches are finite, so that a gradient is too (hard case 21).
+    """
+    seen = alpha > 1e-6
+    return xnp.where(seen, gathered / xnp.where(seen, alpha, 1), nothing)

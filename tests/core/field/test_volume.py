@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from snerg.core.field.losses import cauchy
-from snerg.core.field.networks import bounded_exp, sigmoid
-from snerg.core.field.volume import composite, depth_before, opacity, optical_depth
+from snerg.core.field.networks import HashFamily, MlpFamily, bounded_exp, density_of, sigmoid
+from snerg.core.field.volume import composite, composite_rows, depth_before, mean_distance, opacity, optical_depth
 
 
 @pytest.fixture
@@ -82,3 +82,52 @@ def test_activations_are_monotone_and_finite():
         y = activation(jnp, x)
         slope = jax.vmap(jax.grad(lambda v, f=activation: f(jnp, v)))(x)
         assert np.isfinite(y).all() and np.isfinite(slope).all() and (np.diff(y) >= 0).all()
+
+
+@pytest.mark.hard_case(18)
+@pytest.mark.parametrize("xnp", [np, jnp])
+def test_rows_are_composited_like_packed_rays(xnp):
+    draw = np.random.default_rng(3)
+    depth, values = draw.gamma(0.3, 1.0, (9, 40)).astype(np.float32), draw.random((9, 40, 5)).astype(np.float32)
+    truth = one_by_one(depth.ravel(), values.reshape(-1, 5), np.repeat(np.arange(9), 40), 9)
+    got, through, weights = (np.asarray(a) for a in composite_rows(xnp, xnp.asarray(depth), xnp.asarray(values)))
+    assert np.abs(got - truth[0]).max() < 2e-6 and np.abs(through - truth[1]).max() < 2e-6
+    assert np.abs(weights.sum(axis=-1) + through - 1).max() < 2e-6  # eq. 2: what is not behind is in front
+
+
+@pytest.mark.hard_case(20)
+@pytest.mark.parametrize("power", [-100, -5, 5, 10])
+@pytest.mark.parametrize("length", [-100, -5, 5, 10])
+def test_rows_are_finite_at_every_scale(power, length):
+    """16 combinations of densities and distances, e^-100 to e^10, zero lengths among them."""
+    sizes = jnp.array([[0.0, 1, 0, 1, 1]], jnp.float32) * np.float32(np.exp(np.float64(length)))
+
+    def seen(density):
+        depth = optical_depth(jnp, density * jnp.ones((1, 5)) * np.float32(np.exp(np.float64(power))), sizes)
+        gathered, through, _ = composite_rows(jnp, depth, jnp.ones((1, 5, 1)))
+        return gathered.sum() + through.sum()
+
+    value, slope = jax.value_and_grad(seen)(jnp.float32(1))
+    assert value == pytest.approx(1, abs=1e-5) and np.isfinite(slope)
+
+
+@pytest.mark.hard_case(21)
+@pytest.mark.parametrize("inverse", [False, True], ids=["distance", "disparity"])
+def test_distance_and_disparity_of_nothing_have_a_gradient(inverse):
+    def measure(gathered, alpha):
+        distance = mean_distance(jnp, gathered, alpha, 1e6)
+        return 1 / distance if inverse else distance
+
+    for gathered, alpha in ((0.0, 0.0), (1e-30, 1e-30), (2.0, 0.5)):
+        assert np.isfinite(jax.grad(measure, argnums=(0, 1))(jnp.float32(gathered), jnp.float32(alpha))).all()
+    assert mean_distance(np, np.float32(2), np.float32(0.5)) == 4 and mean_distance(np, np.float32(0), np.float32(0)) == np.inf
+
+
+@pytest.mark.hard_case(25)
+@pytest.mark.parametrize("family", [HashFamily(), MlpFamily()], ids=["exponential", "softplus"])
+def test_densities_are_monotone_and_finite(family):
+    raw = jnp.linspace(-200, 200, 801)
+    density = np.asarray(density_of(jnp, family, raw))
+    slope = np.asarray(jax.vmap(jax.grad(lambda r: density_of(jnp, family, r)))(raw))
+    assert np.isfinite(density).all() and np.isfinite(slope).all() and (np.diff(density) >= 0).all() and (slope > 0)[raw > -80].all()
+    assert np.abs(density - np.asarray(density_of(np, family, np.asarray(raw)))).max() <= 1e-5 * density.max()
