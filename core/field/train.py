@@ -148,7 +148,8 @@ class Trainer:
         decision, ndc = decide.forward_facing(self.settings.ndc, data.cameras, data.points, data.bounds, self.pool.alpha)
         self.decide(decision)
         if ndc is not None:
-            return *decide.seen_in_ndc(ndc, data.cameras), ndc  # type: ignore[return-value]
+            domain, alive = decide.seen_in_ndc(ndc, data.cameras)
+            return domain, ndc, alive
         progress(0.0, "Carving the visual hull")
         masks: list[np.ndarray | None] = [None] * len(data.views)
         if self.pool.alpha:
