@@ -133,10 +133,8 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
         column.prop(settings, "test_every")
         layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
         layout.operator("snerg.render_dataset", icon="RENDER_STILL")
-        row = layout.row(align=True)
-        row.prop(settings, "dataset", text="Or Use")
-        bring = row.operator("snerg.import_dataset", text="", icon="IMPORT")
-        bring.filepath = settings.dataset
+        layout.operator("snerg.import_dataset", icon="IMPORT")
+        layout.prop(settings, "dataset", text="Train On")
         note = project_of(context.scene).notes().get("dataset", {})
         if note and not settings.dataset:
             views = f"{note.get('train')} + {note.get('test')} test views"
@@ -181,7 +179,7 @@ class SNERG_PT_field(_Step, bpy.types.Panel):
         layout.operator("snerg.import_field", icon="IMPORT")
         note = project.notes().get("field", {})
         if curve is not None:
-            facts(layout, curve.bars, curve_text(curve))
+            facts(layout, curve.bars, *curve_texts(curve))
         if project.has("field"):
             facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there")
             for decision in note.get("decisions", []):
@@ -196,13 +194,13 @@ def goes_on(scene: bpy.types.Scene, curve: Curve | None) -> bool:
     return project.notes().get("training", {}).get("arguments") == training_arguments(scene, project)
 
 
-def curve_text(curve: Curve) -> str:
-    """'31.2 dB on held-out views, 4200 steps, 2:31 min'."""
+def curve_texts(curve: Curve) -> tuple[str, str]:
+    """('31.2 dB on held-out views', '4200 steps, 2:31 min')."""
     if curve.held_out is not None:
         quality = f"{curve.held_out:.1f} dB on held-out views"
     else:
         quality = f"{curve.psnr:.1f} dB on training rays" if curve.psnr is not None else ""
-    return joined(quality, f"{curve.steps} steps", f"{int(curve.seconds) // 60}:{int(curve.seconds) % 60:02d} min")
+    return quality, joined(f"{curve.steps} steps", f"{int(curve.seconds) // 60}:{int(curve.seconds) % 60:02d} min")
 
 
 def draw_decision(layout: bpy.types.UILayout, decision: Any) -> None:

@@ -1,0 +1,71 @@
+"""What the panel says of a training: its curve, whether it can go on, and what it decided."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from snerg.operators.train import training_arguments
+from snerg.snerg_addon.curve import Curve, curve_of, read_curve, sparkline
+from snerg.snerg_addon.panels import curve_texts, goes_on
+from snerg.snerg_addon.project import project_of
+
+LINES = [
+    {"step": 10, "seconds": 2.0, "fraction": 0.25, "loss": 0.1, "psnr": 20.0, "rate": 0.01, "samples": 9, "rays": 3},
+    {"step": 30, "seconds": 6.0, "held_out_psnr": 21.5},
+    {"step": 40, "seconds": 71.0, "fraction": 0.5, "loss": 0.1, "psnr": 24.0, "rate": 0.01, "samples": 9, "rays": 3},
+]
+
+
+def write_log(folder, lines):
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"step": 50, "sec')
+
+
+def test_the_curve_is_that_of_the_log(tmp_path):
+    assert curve_of(tmp_path) is None
+    write_log(tmp_path, LINES)
+    curve = curve_of(tmp_path)
+    assert curve == Curve(0.5, 40, 71.0, 24.0, 21.5, "▁█")
+    assert curve_texts(curve) == ("21.5 dB on held-out views", "40 steps, 1:11 min")
+    write_log(tmp_path, [*LINES, {**LINES[0], "step": 80, "fraction": 1.0, "psnr": 28.0}])  # it grew
+    assert curve_of(tmp_path).steps == 80
+    assert curve_of(tmp_path) is curve_of(tmp_path)  # read once
+    assert curve_texts(read_curve(LINES[:1]))[0] == "20.0 dB on training rays"
+    assert read_curve([]) == Curve()
+
+
+@pytest.mark.parametrize(("values", "bars"), [([], ""), ([1.0], ""), ([5.0, 5.0], "▁▁"), (list(range(8)), "▁▂▃▄▅▆▇█")])
+def test_sparklines(values, bars):
+    assert sparkline(values) == bars
+    assert len(sparkline([float(v) for v in range(1000)], 20)) == 20
+
+
+def test_only_a_training_that_was_stopped_goes_on(scene):
+    project = project_of(scene)
+
+    def can():
+        return goes_on(scene, curve_of(project.field))
+
+    assert not can()
+    write_log(project.field, LINES)
+    project.note("training", {"arguments": training_arguments(scene, project)})
+    assert not can()  # it has left nothing to go on with
+    (project.field / "field.npz").write_bytes(b"half-way")
+    assert can()
+    scene.snerg.view_dependence = "diffuse"
+    assert not can()  # another training
+    scene.snerg.view_dependence = "auto"
+    write_log(project.field, [*LINES, {**LINES[0], "step": 80, "fraction": 1.0}])
+    assert not can()  # finished
+
+
+def test_the_background_goes_by_its_name_or_its_colour(scene):
+    def background():
+        arguments = training_arguments(scene, project_of(scene))
+        return arguments[arguments.index("--background") + 1]
+
+    assert background() == "white"
+    scene.snerg.train_background, scene.snerg.train_colour = "colour", (1.0, 0.5, 0.0)
+    assert background() == "#ff8000"
