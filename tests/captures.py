@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -70,6 +71,16 @@ def pictures(folder: Path, cameras: Sequence[Camera], shrink: int = 1) -> None:
     for index, camera in enumerate(cameras):
         pixels = np.full((camera.height // shrink, camera.width // shrink, 3), index * 9 + 10, np.uint8)
         write_png(folder / f"{camera.name}.png", pixels)
+
+
+def huge_png(width: int, height: int) -> bytes:
+    """A PNG of some 70 bytes whose header claims `width` x `height` pixels."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"\0" * 64)) + chunk(b"IEND", b"")
 
 
 def write_ngp(folder: Path, cameras: Sequence[Camera], suffix: str = ".png", **top: object) -> Path:

@@ -58,16 +58,14 @@ def read_table(path: Path) -> np.ndarray:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise SnergError(f"{path} is larger than {MAX_BYTES >> 20} MiB; it cannot be LLFF's table of poses.")
-        with open(path, "rb") as file:
-            table = np.load(file, allow_pickle=False)
+        table = np.lib.format.open_memmap(path, mode="r")  # takes memory for no more than there is, and no pickles
     except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError) as error:
         raise SnergError(f"{path} is not an array of numbers ({error}); run LLFF's imgs2poses again.") from error
-    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] != 17 or not np.issubdtype(table.dtype, np.number):
-        shape = getattr(table, "shape", "no shape")
-        raise SnergError(f"{path} holds {shape} values instead of 17 for each view; run LLFF's imgs2poses again.")
+    if table.ndim != 2 or table.shape[1] != 17 or not np.issubdtype(table.dtype, np.number):
+        raise SnergError(f"{path} holds {table.dtype} {table.shape} instead of 17 numbers for each view; run LLFF's imgs2poses again.")
     if np.iscomplexobj(table) or not np.isfinite(table).all():
         raise SnergError(f"{path} holds poses or bounds that are not finite; run LLFF's imgs2poses again.")
-    table = table.astype(np.float64)
+    table = np.array(table, np.float64)
     if not len(table):
         raise SnergError(f"{path} has no poses; a dataset needs images with their cameras.")
     bad = np.flatnonzero(~((table[:, 15] > 0) & (table[:, 16] > table[:, 15])))

@@ -166,7 +166,7 @@ def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
     named = str(value.get("camera_model", "")).upper()
     other = [key for key in OTHER_LENSES if value.get(key)]
     if named not in LENSES or other:
-        raise SnergError(f"{where} has the lens {named or other[0]}, which is not supported; undistort the images first.")
+        raise SnergError(f"{where} has the lens {other[0] if other else named}, which is not supported; undistort the images first.")
     model = "fisheye" if value.get("is_fisheye") else LENSES[named]
     coefficients = tuple(float(value.get(key, 0)) for key in MODELS[model])
     return Distortion(model, coefficients) if model == "fisheye" or any(coefficients) else None
