@@ -69,12 +69,18 @@ def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: 
         t = start + 0.5 + k
         live = np.flatnonzero(t < leaves)
         if not len(live):
-            return values, through, depth
+            return fill(values, through, depth) if snerg.fill_holes else (values, through, depth)
         sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
         values[live] += through[live, None] * sample[:, :-1]
         depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
         through[live] *= 1 - sample[:, -1]
         k += 1
+
+
+def fill(values: np.ndarray, through: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Equation 9: times min(1, 1.5 alpha) / alpha, where there is any."""
+    factor = np.array([min(1, 1.5 * alpha) / alpha if alpha > 0 else 0.0 for alpha in 1 - through])
+    return values * factor[:, None], 1 - factor * (1 - through), depth * factor
 
 
 def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:

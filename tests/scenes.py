@@ -93,6 +93,7 @@ def make_snerg(
     size: float = 2.0,
     near: float = 0.0,
     ndc: Ndc | None = None,
+    fill_holes: bool = False,
 ) -> Snerg:
     """The scene of `volume` in a box turned by `angles`, around `centre`, `size` world units along its shortest axis."""
     values = volume(shape, fog)
@@ -109,6 +110,7 @@ def make_snerg(
         near=near,
         about={"source": "tests"},
         ndc=ndc,
+        fill_holes=fill_holes,
     )
 
 
@@ -159,7 +161,9 @@ def make_frame(scale: float = 1.0, position: tuple[float, float, float] = (0.5, 
 
 def make_forward(diffuse: bool = False, scale: float = 1.0, position: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> Snerg:
     """The scene of `volume` in device coordinates, up to infinity and past it."""
-    return make_snerg((44, 40, 57), diffuse, angles=(0.05, -0.1, 0.15), size=1.44, ndc=make_frame(scale, position), near=0.1 * scale)
+    return make_snerg(
+        (44, 40, 57), diffuse, angles=(0.05, -0.1, 0.15), size=1.44, ndc=make_frame(scale, position), near=0.1 * scale, fill_holes=True
+    )
 
 
 def make_forward_cameras(frame: Ndc, width: int = 48, height: int = 36) -> tuple[Camera, ...]:

@@ -49,9 +49,9 @@ def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, pr
     """Write scene_params.json, atlas_indices.png, rgba_NNN.png and feature_NNN.png, whole or not at all.
 
     camera: gives the picture's size and focal length that the layout records (the viewer uses them for NDC scenes only, and
-    for those they are the frame's). The viewer's fixed near plane and white background stand in place of the scene's. Raises
-    SnergError when the scene is larger than the viewer's textures, or forward-facing with a turned box, or the folder cannot
-    be written.
+    for those they are the frame's). The viewer's fixed near plane and white background stand in place of the scene's, and it
+    fills no holes. Raises SnergError when the scene is larger than the viewer's textures, or forward-facing with a turned
+    box, or the folder cannot be written.
     """
     check_fits(snerg)
     turned = for_viewer(snerg)
@@ -156,6 +156,7 @@ def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str
         "voxel_size": float(snerg.voxel_size),
         "shape": list(snerg.shape),
         "near": float(snerg.near),
+        "fill_holes": snerg.fill_holes,
         "viewer_axes": np.rint(snerg.grid_to_world[:3, :3].T @ flip_of(snerg.ndc) @ turned.grid_to_world[:3, :3]).astype(int).tolist(),
         "about": snerg.about,
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
@@ -276,6 +277,7 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
         voxel_size=float(ours["voxel_size"]),
         shape=(x, y, z),
         near=float(ours["near"]),
+        fill_holes=bool(ours["fill_holes"]),
         about=dict(ours["about"]),
         ndc=ndc,
     )

@@ -79,6 +79,7 @@ def scene_json(snerg: Snerg) -> dict[str, Any]:
         "cells": len(snerg.cells),
         "atlas_blocks": list(atlas_blocks(len(snerg.cells))),
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
+        "fill_holes": snerg.fill_holes,
         "effects": snerg.effects,
         "network_transmittance": NETWORK_TRANSMITTANCE,
         "network": None if network is None else {k: np.asarray(v, np.float64).tolist() for k, v in network._asdict().items()},
@@ -130,6 +131,7 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
         near=float(value["near"]),
         about=dict(value["about"]),
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
+        fill_holes=bool(value["fill_holes"]),
     )
 
 

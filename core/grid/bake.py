@@ -30,7 +30,7 @@ class BakeSettings:
     """resolution: voxels along the box's longest side. samples: points averaged in a voxel, Gaussian with a standard
     deviation of voxel / sqrt(12). alpha_threshold: blocks whose opacity is nowhere above it are culled;
     visibility_threshold: voxels that no camera sees with at least this transmittance are culled (section 5.3).
-    seed: of the jitter.
+    seed: of the jitter. fill_holes: see Snerg; None: in forward-facing scenes, as in the paper (supplement C.3).
     """
 
     resolution: int = 512
@@ -38,6 +38,7 @@ class BakeSettings:
     alpha_threshold: float = 0.005
     visibility_threshold: float = 0.01
     seed: int = 0
+    fill_holes: bool | None = None
 
     def __post_init__(self) -> None:
         if self.resolution < 2 or self.resolution > 4096:
@@ -83,7 +84,18 @@ def bake(
     about = {"bake": {"settings": asdict(settings), "seconds": clock.laps, "blocks": len(cells), "blocks_in_all": indirection.size}}
     if not len(cells):
         about["bake"]["warning"] = "The box holds nothing; move it over the object, or train longer."
-    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, field.network, about=about, ndc=field.ndc)
+    fill = settings.fill_holes if settings.fill_holes is not None else field.ndc is not None
+    return Snerg(
+        lattice.grid_to_world,
+        lattice.voxel_size,
+        lattice.shape,
+        indirection,
+        cells,
+        field.network,
+        about=about,
+        ndc=field.ndc,
+        fill_holes=fill,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,7 +134,19 @@ def march_rays(
     with ThreadPoolExecutor(settings.threads) as pool:
         for done, _ in enumerate(pool.map(run, batches)):
             progress((done + 1) / len(batches), "Marching")
-    return Composited(gathered[:, :3], gathered[:, 3:-1], through, depth * np.float32(snerg.voxel_size))
+    found = Composited(gathered[:, :3], gathered[:, 3:-1], through, depth * np.float32(snerg.voxel_size))
+    return filled(found) if snerg.fill_holes else found
+
+
+def filled(rays: Composited) -> Composited:
+    """Rays up to 1.5 times as opaque, all of what they gather with them (eq. 9): baking lets a little light through surfaces.
+
+    The factor is written so that it is finite at alpha 0 and continuous at 2/3, above which a ray is opaque (hard case 53).
+    """
+    alpha = 1 - rays.transmittance
+    factor = np.where(alpha < 2 / 3, 1.5, 1 / np.maximum(alpha, 2 / 3)).astype(np.float32)
+    through = np.maximum(1 - factor * alpha, 0)
+    return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor)
 
 
 def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

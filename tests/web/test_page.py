@@ -133,6 +133,7 @@ def damage_scene(key: str, value: object) -> Callable[[bytes], bytes]:
         ("scene/scene.json", damage_scene("shape", [34, 30]), '"shape"'),
         ("scene/scene.json", damage_scene("network", {"weights_0": [[1]]}), '"network"'),
         ("scene/scene.json", damage_scene("cells", 10**9), '"cells"'),
+        ("scene/scene.json", damage_scene("fill_holes", None), '"fill_holes"'),
         ("scene/scene.json", damage_scene("ndc", {"focal": [1, 1], "near": 1}), '"ndc"'),
         ("scene/rgba_002.png", lambda data: data[: len(data) // 2], "cut short"),
         ("scene/rgba_002.png", lambda data: data[:60] + bytes(20) + data[80:], "cannot be read"),

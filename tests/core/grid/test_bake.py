@@ -8,6 +8,7 @@ import pytest
 from scenes import looking, make_dataset, random_network
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import read_dataset
+from snerg.core.capture.ndc import Ndc
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.field.field import Field
 from snerg.core.field.networks import HashFamily, ViewNetwork, view_residual
@@ -27,7 +28,7 @@ class Ball:
     network: ViewNetwork | None = None
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
     occupancy: None = None
-    ndc: None = None
+    ndc: Ndc | None = None
     view: str = "deferred"
     domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
 
@@ -210,6 +211,12 @@ def test_cancelled_between_batches():
 def test_view_dependence_in_every_sample_cannot_be_baked(view):
     with pytest.raises(SnergError, match=f"'{view}'.*deferred"):
         bake(Ball(view=view), BOX, (), BakeSettings(32))
+
+
+def test_holes_are_filled_where_asked_or_facing_forward():
+    assert not bake(Ball(), BOX, (), BakeSettings(16)).fill_holes
+    assert bake(Ball(), BOX, (), BakeSettings(16, fill_holes=True)).fill_holes
+    assert bake(Ball(ndc=Ndc(np.eye(4), (1.0, 1.0), 1.0)), BOX, (), BakeSettings(16)).fill_holes
 
 
 def test_a_field_without_features_is_baked():

@@ -9,7 +9,7 @@ from oracle import dense_march, dense_rays
 from scenes import empty_snerg, looking, make_cameras, make_snerg, snerg_from_volume
 from snerg.core.capture.camera import Camera
 from snerg.core.errors import Cancelled
-from snerg.core.grid.march import MarchSettings, chebyshev, march, march_rays, tables_of
+from snerg.core.grid.march import Composited, MarchSettings, chebyshev, filled, march, march_rays, tables_of
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
@@ -95,6 +95,19 @@ def test_a_slab_is_as_thick_as_it_is_in_the_world():
     got = march_rays(snerg, np.array([[0.3, 0.3, -1]]), np.array([[0.0, 0, 1]]))
     # 60 samples a voxel apart; the first and last stand on the outer voxels' centres.
     assert got.transmittance[0] == pytest.approx((1 - 26 / 255) ** 60, rel=1e-3)
+
+
+@pytest.mark.hard_case(53)
+def test_filling_holes_is_finite_continuous_and_at_most_opaque():
+    alpha = np.concatenate([[0.0, 1e-30], np.linspace(1e-6, 1, 3001)]).astype(np.float32)
+    colour = np.stack([alpha, 0.5 * alpha, 0 * alpha], axis=-1)
+    with np.errstate(all="raise", under="ignore"):
+        got = filled(Composited(colour, colour[:, :0], 1 - alpha, 2 * alpha))
+    opaque = 1 - got.transmittance
+    assert (got.transmittance >= 0).all() and np.abs(opaque - np.minimum(1, 1.5 * alpha)).max() < 1e-6
+    assert (np.diff(opaque) > -1e-6).all() and np.diff(opaque[1:]).max() < 1e-3
+    assert np.abs(got.colour - opaque[:, None] * [1, 0.5, 0]).max() < 1e-6, "the colour stays that of what is there"
+    assert np.abs(got.depth - 2 * opaque).max() < 1e-6
 
 
 @pytest.mark.hard_case(40)

@@ -96,6 +96,13 @@ void main() {
     }
   }
 
+#ifdef FILL_HOLES
+  float alpha = 1.0 - through; // equation 9, finite at alpha 0
+  float factor = alpha < 2.0 / 3.0 ? 1.5 : 1.0 / alpha;
+  rgb *= factor;
+  features *= factor;
+  through = max(1.0 - factor * alpha, 0.0);
+#endif
 #ifdef VIEW_DEPENDENCE
   if (through <= NETWORK_TRANSMITTANCE) rgb += residual(rgb + through, features, viewFromCamera * towards);
 #endif

@@ -35,6 +35,7 @@ export async function readScene(name) {
     network_transmittance: Number.isFinite(scene.network_transmittance),
     network: scene.network === null || isNetwork(scene.network),
     ndc: scene.ndc === null || isFrame(scene.ndc),
+    fill_holes: typeof scene.fill_holes === "boolean",
   };
   const bad = Object.keys(checks).filter((key) => !checks[key]);
   if (bad.length) throw new Problem(`The file ${name} is damaged: it has no good "${bad[0]}". ${EXPORT_AGAIN}`);

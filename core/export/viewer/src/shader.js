@@ -15,6 +15,7 @@ export function fragmentShader(scene, pages) {
     constants.push("#define VIEW_DEPENDENCE", `const float NETWORK_TRANSMITTANCE = ${number(scene.network_transmittance)};`);
     parts.push(lookups("feature", pages), network(scene.network));
   }
+  if (scene.fill_holes) constants.push("#define FILL_HOLES");
   if (scene.ndc) {
     const pose = scene.grid_to_world;
     const columns = [0, 1, 2].flatMap((i) => pose[i].slice(0, 3)); // of the inverse, whose columns are the rotation's rows
