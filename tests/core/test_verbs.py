@@ -2,7 +2,8 @@
 
 import json
 import os
-from dataclasses import replace
+import shutil
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from flax_checkpoint import networks, tree, write
 from scenes import make_cameras, make_snerg
 from snerg.core import describe, evaluate, verbs
-from snerg.core.capture.dataset import read_dataset
+from snerg.core.capture.dataset import DatasetOptions, read_dataset
 from snerg.core.capture.images import over_white, read_image, to_uint8
 from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.errors import Cancelled, SnergError
@@ -89,6 +90,56 @@ def test_a_scene_is_measured_and_described(scene, dataset):
     snerg = read_scene(scene)
     assert about["voxels"] == [40, 36, 44] and about["blocks"] == len(snerg.cells) and about["effects"]["view_dependence"]
     assert about["megabytes"] == pytest.approx(describe.folder_bytes(scene) / 1e6, abs=1e-3)
+
+
+def test_measuring_goes_by_what_training_knew(field, dataset, tmp_path):
+    """Without options, eval takes the dataset, its splits and the background from the field itself."""
+    own = verbs.evaluate(field)
+    assert own["dataset"] == str(dataset) and own["split"] == "test" and own["holdout"] == 8 and own["downscale"] == 1
+    trained = read_field(field)
+    settings = {**trained.about["settings"], "background": "#0000ff"}
+    options = {"holdout": 4, "downscale": 2}
+    write_field(replace(trained, about={**trained.about, "settings": settings, "dataset_options": options}), tmp_path / "field")
+    target = evaluate.open_target(tmp_path / "field")
+    assert target.background == (0, 0, 1) and asdict(target.options) == options
+    result = verbs.evaluate(tmp_path / "field")
+    assert result["downscale"] == 2 and result["holdout"] == 4 and result["psnr"] != own["psnr"]
+
+
+def test_the_views_held_out_are_those_that_training_did_not_see(tmp_path, dataset):
+    folder = tmp_path / "one"
+    shutil.copytree(dataset / "train", folder / "train")
+    (folder / "transforms.json").write_text((dataset / "transforms_train.json").read_text())
+    for options in (DatasetOptions(4), DatasetOptions(5)):
+        seen = {view.image for view in read_dataset(folder, "train", options).views}
+        unseen = {view.image for view in evaluate.held_out(folder, options).views}
+        assert unseen and not seen & unseen and len(seen | unseen) == 12
+    with pytest.raises(SnergError, match="no views that training did not see"):
+        evaluate.held_out(folder, DatasetOptions(0))
+
+
+def test_pictures_beside_the_truth(scene, dataset, tmp_path):
+    for _ in range(2):  # the second takes the place of the first
+        result = verbs.evaluate(scene, dataset, out=tmp_path / "pictures")
+    names = sorted(p.name for p in (tmp_path / "pictures").glob("*.*"))
+    assert result["out"] == str(tmp_path / "pictures") and names[-5:] == ["000.png", "001.png", "002.png", "contact.png", "views.json"]
+    views = json.loads((tmp_path / "pictures" / "views.json").read_text())
+    assert [view["psnr"] > 40 for view in views] == [True] * 3
+    sheet = read_image(tmp_path / "pictures" / "contact.png")
+    truth = to_uint8(over_white(read_dataset(dataset, "test").read(0)))
+    assert np.array_equal(sheet[28:68, 6:46], truth)  # beside it, what was rendered
+    assert np.array_equal(sheet[28:68, 52:92], read_image(tmp_path / "pictures" / "000.png"))
+
+
+def test_hidden_pixels_do_not_count():
+    score, random = evaluate.Score(), np.random.default_rng(0)
+    truth = random.random((30, 40, 3))
+    picture, mask = truth + 0.01, np.ones((30, 40), bool)
+    picture[:, 20:], mask[:, 20:] = random.random((30, 20, 3)), False
+    score.add(picture, truth, mask=mask)
+    assert score.result()["psnr"] == pytest.approx(40, abs=1e-3) and score.result()["ssim"] > 0.99
+    with pytest.raises(SnergError, match="mask hides all"):
+        score.add(picture, truth, mask=np.zeros_like(mask))
 
 
 @pytest.mark.hard_case(30)
