@@ -97,11 +97,12 @@ class Camera:
         """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
         if self.distortion is None:
             return None
-        pixels = self.pixels()
-        edge = (pixels == 0).any(axis=-1) | (pixels[:, 0] == self.width - 1) | (pixels[:, 1] == self.height - 1)
-        if self.distortion.sees(self._normalised(pixels[edge])).all():
+        across, down = np.arange(self.width), np.arange(self.height)
+        edges = [np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in ((across, 0), (across, self.height - 1))]
+        edges += [np.stack(np.broadcast_arrays(x, down), axis=-1) for x in (0, self.width - 1)]
+        if self.distortion.sees(self._normalised(np.concatenate(edges))).all():
             return None  # what a lens sees has no holes
-        return self.distortion.sees(self._normalised(pixels)).reshape(self.height, self.width)
+        return self.distortion.sees(self._normalised(self.pixels())).reshape(self.height, self.width)
 
     def reduced(self, factor: int) -> Camera:
         """The same view with squares of `factor` x `factor` pixels made one, as `images.reduced` makes them."""
