@@ -92,7 +92,7 @@ def measure(name: str, row: Row, options: argparse.Namespace) -> dict[str, Any]:
     return {
         "row": name,
         **asdict(row),
-        "dataset": dataset.name,
+        "dataset": dataset.name if options.data is not None else dataset.name.replace("dataset", "demo"),
         "psnr": measured["psnr"],
         "ssim": measured["ssim"],
         "split": measured["split"],
