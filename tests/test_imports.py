@@ -9,7 +9,16 @@ import pytest
 ROOT = Path(__file__).parent.parent
 JAX_MODULES = {
     f"snerg.core.{name}"
-    for name in ("field.optimise", "field.packed", "field.parallel", "field.train", "field.trial", "field.trust", "grid.refine")
+    for name in (
+        "field.hierarchical",
+        "field.optimise",
+        "field.packed",
+        "field.parallel",
+        "field.train",
+        "field.trial",
+        "field.trust",
+        "grid.refine",
+    )
 }
 
 BLOCK_AND_IMPORT = """

@@ -39,22 +39,21 @@ class HierarchicalScheme:
     def __init__(self, settings: TrainSettings, pool: PixelPool, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
+        self.occupied = alive
         family = settings.family
         plain = replace(settings, density_noise=0.0)
         self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[1].colour)
         self._density = jax.jit(lambda params, x: field_outputs(jnp, family, params, field_inputs(jnp, family, x))[0])
 
-    @property
-    def occupied(self) -> np.ndarray:
-        """bool [CELLS^3]: cells in which an interval of the settings' spacing has an opacity of 0.01 or more, or nobody has looked."""
-        return self.occupancy.most > 0.01 / self.settings.spacing
-
     def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
         """Now and then ask the field where something is."""
         if step % UPDATE_EVERY == 0:
-            self.occupancy.update(
-                lambda x: in_chunks(lambda part: (self._density(params["field"], part),), x, QUERY)[0], UPDATE_CELLS, self.rng
-            )
+            self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
+            self.occupied = self._occupied()
+
+    def density(self, params: Any, x: np.ndarray) -> np.ndarray:
+        """Density [N] at field coordinates [N, 3]."""
+        return in_chunks(lambda part: (self._density(params["field"], part),), x, QUERY)[0]
 
     def batch(self, params: Any, fraction: float) -> Batch:
         """A step's rays. Raises SnergError when distances in disparity are asked for of a ray that begins at its camera."""
@@ -108,6 +107,11 @@ class HierarchicalScheme:
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Undo `state`."""
         self.occupancy = Occupancy(state["most"].copy())
+        self.occupied = self._occupied()
+
+    def _occupied(self) -> np.ndarray:
+        """bool [CELLS^3]: where an interval of the final spacing has an opacity of 0.01 or more, or nobody has looked."""
+        return self.occupancy.most > 0.01 / self.settings.spacing
 
 
 def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
