@@ -27,7 +27,7 @@ from .export.reference import write_reference
 from .export.scene import write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
-from .field.settings import PRESETS, TrainSettings, with_values
+from .field.settings import PRESETS, TrainSettings, suited_to_time, with_values
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.box import Box
 from .grid.march import MarchSettings, march, tables_of
@@ -87,12 +87,12 @@ def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int
     """A preset with some settings changed. Raises SnergError on a name or a value that there is not."""
     if preset not in PRESETS:
         raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
-    settings = replace(with_values(PRESETS[preset], values), seed=seed)
+    settings = replace(PRESETS[preset], seed=seed)
     if steps is not None:
-        return replace(settings, steps=steps, seconds=None)
-    if minutes is not None:
-        return replace(settings, steps=None, seconds=60 * minutes)
-    return settings
+        settings = replace(settings, steps=steps, seconds=None)
+    elif minutes is not None:
+        settings = replace(settings, steps=None, seconds=60 * minutes)
+    return with_values(suited_to_time(settings), values)
 
 
 def _unfinished(out: Path, settings: TrainSettings, dataset: Dataset) -> bool:

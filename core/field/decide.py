@@ -16,6 +16,7 @@ from .sampling import CELLS, Domain, carve, cell_centres, clip_rays
 
 TRANSPARENT = 0.001  # share of pixels that are not opaque, from which alpha says something of the scene
 FACING = 35.0  # degrees between the cameras' mean axis and theirs, up to which a scene is forward-facing (LLFF: 20 and less)
+PLAIN = 0.5  # share of the images' borders that have the background's colour, from which that is a backdrop
 DEEP = 2.0  # farthest / nearest, from which device coordinates spend samples better than the world's
 NEARER = 0.9  # of the nearest depth: where the near plane stands
 WIDEST = 3.0  # device coordinates are cut off there, in units of half a picture
@@ -65,6 +66,21 @@ def transparency(setting: str, pixels: np.ndarray, has_alpha: bool) -> Decision:
     share = float((pixels[:, 3] < 255).mean())
     evidence = f"{100 * share:.2f} % of the pixels are not opaque (from {100 * TRANSPARENT:g} % on, alpha carves the hull and is learned)."
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
+
+
+def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:
+    """Whether opaque images show the scene before a plain backdrop of the background's colour, so that its outline carves the hull.
+
+    shares: of each image's border, how much has just that colour; none where the background is no one colour. alpha: whether
+    it says already where the scene is.
+    """
+    if alpha or not shares:
+        why = "Alpha says where the scene is." if alpha else "The background is no one colour."
+        return Decision("Backdrop", False, why, None, PLAIN, setting != "auto")
+    share = float(np.mean(shares))
+    carves = f"from {100 * PLAIN:.0f} % on, what hangs together with them carves the hull"
+    evidence = f"{100 * share:.0f} % of the images' borders are just {colour} ({carves})."
+    return decided("Backdrop", setting, share >= PLAIN, evidence, share, PLAIN)
 
 
 def forward_facing(

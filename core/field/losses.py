@@ -19,13 +19,20 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
     return xnp.where(large, 2 * xnp.log(big) - math.log(c), xnp.log1p(small * small / c))
 
 
-def backgrounds(name: str, rays: int, rng: np.random.Generator) -> np.ndarray:
-    """Colours [rays, 3] float32 behind rays: 'white', 'black', 'random' (a new one each ray) or '#rrggbb'."""
+def plain_colour(name: str) -> np.ndarray | None:
+    """The colour, uint8 [3], of a background called 'white', 'black' or '#rrggbb'; None for 'random', which is a new one each ray."""
     if name == "random":
-        return rng.random((rays, 3), np.float32)
+        return None
     value = {"white": "#ffffff", "black": "#000000"}.get(name, name)
-    colour = np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)], np.float32) / 255
-    return np.broadcast_to(colour, (rays, 3)).copy()
+    return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)], np.uint8)
+
+
+def backgrounds(name: str, rays: int, rng: np.random.Generator) -> np.ndarray:
+    """Colours [rays, 3] float32 behind rays, see `plain_colour`."""
+    colour = plain_colour(name)
+    if colour is None:
+        return rng.random((rays, 3), np.float32)
+    return np.broadcast_to(colour.astype(np.float32) / 255, (rays, 3)).copy()
 
 
 def over(target: Any, background: Any = 1.0) -> tuple[Any, Any]:

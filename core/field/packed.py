@@ -140,7 +140,7 @@ class PackedScheme:
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs beside the parameters."""
-        return {"most": self.occupancy.most, "reach": self.ends.reach, "samples_per_ray": np.float64(self.samples_per_ray)}
+        return {"most": self.occupancy.most, "reach": self.ends.reach, "samples_per_ray": np.array(self.samples_per_ray)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Undo `state`."""

@@ -43,7 +43,7 @@ class PixelPool:
         self._set_lenses(cameras)
         self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
         self.alpha = self._fill(images)
-        self.useful = self._useful(cameras, masks or [None] * len(cameras))
+        self.useful = self._unmasked(cameras, masks or [None] * len(cameras))
 
     def _set_lenses(self, cameras: Sequence[Camera]) -> None:
         """Equal lenses are one."""
@@ -63,24 +63,28 @@ class PixelPool:
             varies = varies or bool((place[:, 3] < 255).any())
         return everywhere and varies
 
-    def _useful(self, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray | None:
-        """The numbers of pixels worth drawing, None where all are: what no mask hides, and with alpha what is on or near
-        something, because the other rays miss the hull and teach nothing."""
-        if not self.alpha and all(m is None for m in masks):
-            return None
+    def keep_near(self, silhouettes: Sequence[np.ndarray], masks: Sequence[np.ndarray | None]) -> None:
+        """Draw only what no mask hides and what is on or near the scene, because the other rays miss it and teach nothing.
+
+        silhouettes: of each view [H, W] bool; masks: as for the constructor. Silhouettes that hold nothing change nothing.
+        """
+        near = [dilated(s, max(s.shape) // 40 + 2) for s in silhouettes]
+        kept = self._numbers([n if m is None else n & m for n, m in zip(near, masks, strict=True)])
+        self.useful = kept if len(kept) else self.useful
+
+    def _numbers(self, keep: Sequence[np.ndarray]) -> np.ndarray:
+        """The numbers of the pixels kept, of each view [H, W] bool."""
         kind = np.int32 if len(self.pixels) < 2**31 else np.int64
-        parts = []
-        for camera, start, end, mask in zip(cameras, self.starts, self.ends, masks, strict=True):
-            keep = np.ones((camera.height, camera.width), bool) if mask is None else mask
-            if self.alpha:
-                solid = self.pixels[start:end, 3].reshape(keep.shape) > 0
-                keep = keep & dilated(solid, max(keep.shape) // 40 + 2)
-            parts.append((np.flatnonzero(keep) + start).astype(kind))
-        if sum(map(len, parts)):
-            return np.concatenate(parts)
-        if not self.alpha:
+        return np.concatenate([(np.flatnonzero(k) + start).astype(kind) for start, k in zip(self.starts, keep, strict=True)])
+
+    def _unmasked(self, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray | None:
+        """The numbers of the pixels that no mask hides, None where all are."""
+        if all(m is None for m in masks):
+            return None
+        kept = self._numbers([np.ones((c.height, c.width), bool) if m is None else m for c, m in zip(cameras, masks, strict=True)])
+        if not len(kept):
             raise SnergError("The masks hide every pixel of every image; in a mask, white is what to use.")
-        return None
+        return kept
 
     def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """[count] pixel numbers, int64, of views that are not withheld. Raises SnergError when all are."""

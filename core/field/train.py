@@ -8,8 +8,8 @@ import math
 import sys
 import time
 from ast import literal_eval
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,10 +22,12 @@ from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
 from ..progress import Note
 from . import decide, trial
+from .backdrop import border_share, silhouette
 from .checkpoint import read_field_and_state, write_field
 from .field import Field
 from .held_out import HELD_OUT_RAYS, Rays, some_views
 from .log import Log
+from .losses import plain_colour
 from .networks import ViewNetwork, init_field, init_params
 from .optimise import learning_rate, zero_moments
 from .packed import Batch, PackedScheme
@@ -151,14 +153,27 @@ class Trainer:
             domain, alive = decide.seen_in_ndc(ndc, data.cameras)
             return domain, ndc, alive
         progress(0.0, "Carving the visual hull")
-        masks: list[np.ndarray | None] = [None] * len(data.views)
-        if self.pool.alpha:
-            ends = [(start, end, c) for start, end, c in zip(self.pool.starts, self.pool.ends, data.cameras, strict=True)]
-            masks = [self.pool.pixels[start:end, 3].reshape(c.height, c.width) > 0 for start, end, c in ends]
-            hidden = masks_of(data)  # nobody knows what is there: it carves nothing
-            masks = [m if h is None or m is None else m | ~h for m, h in zip(masks, hidden, strict=True)]
-        domain, alive = hull(data.suggested_box(), data.cameras, masks)
+        domain, alive = hull(data.suggested_box(), data.cameras, self._silhouettes())
         return domain, None, alive
+
+    def _silhouettes(self) -> Sequence[np.ndarray | None]:
+        """Where each image shows the scene, bool [H, W], None where it does not say: by its alpha, or before a plain backdrop."""
+        cameras, background = self.dataset.cameras, plain_colour(self.settings.background)
+        ends = zip(self.pool.starts, self.pool.ends, cameras, strict=True)
+        images = [self.pool.pixels[start:end].reshape(c.height, c.width, 4) for start, end, c in ends]
+        known = [] if background is None or self.pool.alpha else [border_share(i[..., :3], background) for i in images]
+        decision = decide.backdrop(self.settings.backdrop, known, self.pool.alpha, self.settings.background)
+        self.decide(decision)
+        if self.pool.alpha:
+            found = [i[..., 3] > 0 for i in images]
+        elif decision.chosen and background is not None:
+            found = [silhouette(i[..., :3], background) for i in images]
+        else:
+            return [None] * len(images)
+        hidden = masks_of(self.dataset)  # nobody knows what is there: it carves nothing
+        found = [f if h is None else f | ~h for f, h in zip(found, hidden, strict=True)]
+        self.pool.keep_near(found, hidden)
+        return found
 
     def _sample(self, alive: np.ndarray) -> Scheme:
         """The scheme that the settings name, with what it leaves open decided."""
@@ -197,6 +212,7 @@ class Trainer:
         Raises SnergError when several steps in a row are not finite; the parameters are those before them.
         """
         began, told, scored = time.perf_counter() - self.elapsed, 0.0, self.elapsed
+        compiled = False
         while self.fraction() < 1:
             if self.undecided and self.fraction() >= trial.AT:
                 with closing(trial.run(self)) as trying:
@@ -205,6 +221,8 @@ class Trainer:
                             told = now
                             yield self.told(note)
             self.advance()
+            if not compiled:  # the first step is mostly compiling, which is set-up as reading the images is
+                compiled, began = True, time.perf_counter() - self.elapsed
             self.elapsed = self.devices.shared(time.perf_counter() - began)
             ended = self.fraction() >= 1
             if self.held_out is not None and (ended or self.elapsed - scored > SCORE_EVERY):
@@ -393,9 +411,14 @@ def train(
                 known = len(trainer.decisions)
                 if keeper:
                     keeper(told)
-    except (Cancelled, KeyboardInterrupt, SnergError):
+    except (Cancelled, KeyboardInterrupt):
         if keeper and trainer.step:
             keeper.save()
+        raise
+    except SnergError:
+        with suppress(SnergError):  # whatever hinders saving, what went wrong first is what to tell
+            if keeper and trainer.step:
+                keeper.save()
         raise
     field = trainer.field()
     if keeper:

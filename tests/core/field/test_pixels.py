@@ -104,6 +104,8 @@ def test_empty_surroundings_are_passed_over():
     cameras = make_cameras(width=120, height=90)[:2]
     images = blank(cameras, 4)
     images[0][40:50, 60:70] = 255
-    drawn = PixelPool(images, cameras, DOMAIN).draw(5000, np.random.default_rng(0))
+    pool = PixelPool(images, cameras, DOMAIN)
+    pool.keep_near([i[..., 3] > 0 for i in images], [None, None])
+    drawn = pool.draw(5000, np.random.default_rng(0))
     row, column = np.divmod(drawn, 120)
     assert 30 < row.min() < 40 and row.max() < 60 and 50 < column.min() < 60
