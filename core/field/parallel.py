@@ -11,6 +11,7 @@ import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ..errors import SnergError
 from .optimise import Loss, train_step
 from .settings import TrainSettings
 
@@ -79,7 +80,7 @@ def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[
 
     Packed samples are cut between rays, so that no ray is composited in two places; rays keep their numbers, and a part's
     `used` are its own. A part has room for its share and `longest`, the most samples that a ray can have. Other batches have
-    rays along every first axis of the same length, which `parts` must divide.
+    rays along every first axis of the same length; raises SnergError when `parts` does not divide it.
     """
     if "ray" not in arrays:
         return _split_rays(arrays, parts)
@@ -109,5 +110,7 @@ def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[
 def _split_rays(arrays: dict[str, Any], parts: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """Arrays [rays, ...] to [parts, rays / parts, ...]; scalars go to all."""
     whole = {name: value for name, value in arrays.items() if np.ndim(value) == 0}
+    if (rays := len(arrays["near"])) % parts:
+        raise SnergError(f"{rays} rays a step cannot be divided among {parts} devices; set rays to a multiple of {parts}.")
     split = {name: jax.tree.map(np.asarray, value) for name, value in arrays.items() if name not in whole}
     return jax.tree.map(lambda a: a.reshape(parts, -1, *a.shape[1:]), split), whole

@@ -140,6 +140,11 @@ def test_a_batch_is_cut_between_rays_and_nothing_is_lost(counts, parts):
     assert np.array_equal(back, arrays["inputs"][1][..., : sum(counts)])
 
 
+def test_rays_that_cannot_be_divided():
+    with pytest.raises(SnergError, match="a multiple of 3"):
+        split_batch({"near": np.zeros(64), "rays": np.float32(64)}, 3, 0)
+
+
 def test_a_part_has_room_for_any_ray_of_the_settings():
     assert longest_ray(SETTINGS) >= 2 * np.sqrt(3) * 32
 

@@ -1,21 +1,33 @@
 """Training for real, small: it learns, stops cleanly, resumes to the bit, and refuses what cannot work."""
 
-from dataclasses import replace
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snerg.core.capture.dataset import Dataset, read_dataset
+from scenes import looking
+from snerg.core.capture.camera import Camera
+from snerg.core.capture.dataset import Dataset, View, read_dataset
+from snerg.core.capture.images import write_png
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.field import trial
 from snerg.core.field.checkpoint import read_field, read_field_and_state, write_field
+from snerg.core.field.decide import Decision
 from snerg.core.field.encoding import HashGrid
+from snerg.core.field.log import read_log
 from snerg.core.field.networks import HashFamily, MlpFamily, init_field
 from snerg.core.field.packed import Batch
 from snerg.core.field.render import render_field
 from snerg.core.field.settings import TrainSettings
-from snerg.core.field.train import Trainer, train
+from snerg.core.field.train import Trainer, decibels, train
+from snerg.core.field.trust import cause
 from snerg.core.study.metrics import psnr
 
 FAMILY = HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
@@ -111,7 +123,7 @@ def test_training_that_breaks_stops_with_a_sentence_and_the_last_good_state(view
         return replace(batch, arrays={**batch.arrays, "directions": batch.arrays["directions"] * np.nan})
 
     trainer.scheme.batch = broken  # type: ignore[method-assign]
-    with pytest.raises(SnergError, match="5 times in a row: the rays .directions. are not finite; look for a broken pose"):
+    with pytest.raises(SnergError, match=r"5 times in a row: the rays .directions. are not finite; look for a broken pose"):
         for _ in range(12):
             trainer.advance()
     for a, b in zip(jax.tree.leaves(good), jax.tree.leaves(trainer.params), strict=True):
@@ -161,3 +173,136 @@ def test_nothing_that_is_not_finite_is_written(trained, tmp_path):
     with pytest.raises(SnergError, match=r"params\.bias_1"):
         write_field(broken, tmp_path / "field")
     assert not (tmp_path / "field").exists()
+
+
+RUN_AND_SAVE_EACH_STEP = """
+import json, sys
+from pathlib import Path
+from snerg.core.capture.dataset import read_dataset
+from snerg.core.field import train, trial
+from snerg.core.field.checkpoint import is_field
+from snerg.core.field.settings import TrainSettings
+train.TELL_EVERY, train.SAVE_SHARE, trial.LEAST = 0.0, 1e9, 2
+dataset, folder, settings = sys.argv[1:]
+def tell(fraction, what):
+    print(what, flush=True)
+folder = Path(folder)
+train.train(read_dataset(Path(dataset)), TrainSettings.from_json(json.loads(settings)), folder, tell, is_field(folder), 0.0)
+"""
+
+
+@pytest.mark.hard_case(29)
+def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_does(views, dataset, tmp_path, monkeypatch):
+    """Saving after every step, most kills fall into a save; view dependence is tried on the way."""
+    monkeypatch.setattr(trial, "LEAST", 2)
+    settings = replace(SETTINGS, steps=60)
+    whole = train(views, settings, tmp_path / "whole")
+    folder = tmp_path / "killed"
+    draw = np.random.default_rng(0)
+    for _ in range(2):
+        command = [sys.executable, "-c", RUN_AND_SAVE_EACH_STEP, str(dataset), str(folder), json.dumps(asdict(settings))]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        steps = (line for line in child.stdout if line.startswith("Step"))
+        next(steps), next(steps)  # it has saved between them
+        time.sleep(draw.uniform(0, 0.3))
+        child.send_signal(signal.SIGKILL)
+        child.communicate()
+    state = read_field_and_state(folder)[1]
+    assert 0 < state["clock"][0] < 60
+    resumed = train(views, settings, folder, resume=True)
+    for a, b in zip(jax.tree.leaves((whole.params, whole.network)), jax.tree.leaves((resumed.params, resumed.network)), strict=True):
+        assert a.tobytes() == b.tobytes()
+    assert np.array_equal(whole.occupancy, resumed.occupancy)
+    assert [d["effect"] for d in resumed.about["decisions"]] == [d["effect"] for d in whole.about["decisions"]]
+    steps = [line["step"] for line in read_log(folder) if "loss" in line]
+    assert steps == sorted(set(steps)) and steps[-1] == 60
+
+
+def test_it_logs_as_it_goes(trained):
+    lines = read_log(trained[1])
+    assert {"step", "seconds", "fraction", "loss", "psnr", "rate", "samples", "rays"} <= set(lines[0])
+    held = [line["held_out_psnr"] for line in lines if "held_out_psnr" in line]
+    assert lines[-1]["step"] == 200 and held[-1] > 15
+    assert trained[0].about["psnr_held_out_rays"] == held[-1]
+
+
+def test_a_trial_that_is_stopped_leaves_the_trainer_as_it_was(views, monkeypatch):
+    monkeypatch.setattr(trial, "LEAST", 2)
+    trainer = Trainer(views, replace(SETTINGS, steps=60))
+    while trainer.fraction() < trial.AT:
+        trainer.advance()
+    before = trainer.state()
+    trying = trial.run(trainer)
+    for _ in range(3):  # into the second side
+        next(trying)
+    trying.close()
+    after = trainer.state()
+    assert trainer.undecided and all(np.array_equal(before[name], after[name]) for name in before)
+
+
+@pytest.mark.hard_case(27)
+def test_the_cause_of_a_broken_step_is_named(views):
+    trainer = Trainer(views, SETTINGS)
+    arrays = trainer.scheme.batch(trainer.params, 0.0).arrays
+    params = jax.tree.map(np.array, trainer.params)
+    nan = np.float32(np.nan)
+    assert "a broken pose" in cause(trainer.scheme.loss, params, {**arrays, "directions": arrays["directions"] * nan})
+    assert "a broken image" in cause(trainer.scheme.loss, params, {**arrays, "target": arrays["target"] * nan})
+    for name, where in (("table", "the hash table"), ("weights_1", "the field's network")):
+        broken = {**params, "field": {**params["field"], name: params["field"][name] * nan}}
+        assert cause(trainer.scheme.loss, broken, arrays).startswith(where)
+    view = tuple(a * nan if i == 4 else a for i, a in enumerate(params["view"]))
+    assert cause(trainer.scheme.loss, {**params, "view": view}, arrays).startswith("the view-dependence network")
+    huge = {**params, "field": {**params["field"], "weights_0": np.full_like(params["field"]["weights_0"], 1e30)}}
+    assert "lower the learning rate" in cause(trainer.scheme.loss, huge, arrays)
+
+
+@pytest.mark.hard_case(27)
+def test_nothing_that_is_not_finite_reaches_the_disk(views, tmp_path):
+    trainer = Trainer(views, SETTINGS)
+    trainer.advance()
+    write_field(trainer.field(), tmp_path, trainer.state())
+    data = (tmp_path / "field.npz").read_bytes()
+    first, second = trainer.moments
+    trainer.moments = ({**first, "field": {**first["field"], "bias_0": first["field"]["bias_0"] * jnp.nan}}, second)
+    with pytest.raises(SnergError, match="field's network"):
+        write_field(trainer.field(), tmp_path, trainer.state())
+    assert (tmp_path / "field.npz").read_bytes() == data
+
+
+@pytest.mark.hard_case(30)
+def test_the_psnr_of_no_error_is_finite():
+    assert decibels(0.0) == 100 and decibels(0.01) == pytest.approx(20)
+
+
+def test_a_diffuse_decision_leaves_a_diffuse_field(views):
+    trainer = Trainer(views, SETTINGS)
+    trainer.advance()
+    trainer.decide(Decision(trial.EFFECT, "diffuse", "So this test says."))
+    field = trainer.field()
+    assert field.view == "diffuse" and field.network is None
+    assert field.query(np.zeros((1, 3)))[2].shape == (1, 0)
+    deferred = Trainer(views, replace(SETTINGS, view_dependence="deferred"))
+    assert deferred.field().network is not None and not deferred.undecided and not deferred.pool.withheld.any()
+
+
+def test_while_silent_the_view_network_learns_nothing(views):
+    trainer = Trainer(views, SETTINGS)
+    before = [np.array(a) for a in trainer.params["view"]]
+    for _ in range(3):
+        trainer.advance()
+    assert all(np.array_equal(a, np.asarray(b)) for a, b in zip(before, trainer.params["view"], strict=True))
+    assert trainer.pool.withheld.any()
+
+
+def test_a_forward_facing_capture_trains_in_device_coordinates(views, tmp_path):
+    """Pictures of a wall of stripes far away, from cameras side by side."""
+    stripes = np.tile(np.where(np.arange(40) // 8 % 2, 230, 60).astype(np.uint8)[None, :, None], (30, 1, 3))
+    write_png(tmp_path / "stripes.png", stripes)
+    poses = [looking((x, 0, z), (x, 9, z)) for x in (-0.3, 0, 0.3) for z in (-0.3, 0, 0.3)]
+    shots = tuple(View(Camera(40, 30, (40.0, 40.0), (20.0, 15.0), pose), tmp_path / "stripes.png") for pose in poses)
+    wall = Dataset(tmp_path, "train", shots, bounds=np.tile([5.0, 50.0], (9, 1)))
+    field = train(wall, replace(SETTINGS, steps=30), tmp_path / "field")
+    assert field.ndc is not None and read_field(tmp_path / "field").ndc is not None
+    assert next(d for d in field.about["decisions"] if d["effect"] == "NDC")["chosen"]
+    assert np.isfinite(render_field(field, shots[0].camera).colour).all()
