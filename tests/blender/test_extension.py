@@ -71,6 +71,7 @@ from importlib import import_module
 project = import_module(NAME + ".snerg_addon.project").project_of(scene)
 quality = project.notes()["scene"]["psnr"]
 run("import_scene", filepath=str(project.reference))
+run("import_dataset", filepath=str(project.own_dataset))
 print("RESULT", json.dumps({
     "done": done, "files": files["export_web"], "size": size, "alpha": alpha, "notes": project.notes(),
     "box": settings.box.name, "scene_psnr": quality,
