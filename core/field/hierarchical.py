@@ -204,7 +204,7 @@ def stratified(xnp: Any, near: Any, far: Any, random: Any, disparity: bool) -> A
     random: [R, K] in [0, 1). disparity: the parts are equal in 1 / distance, for which near must be above 0.
     """
     count = random.shape[-1]
-    share = (xnp.arange(count, dtype=np.float32) + xnp.minimum(random, 1 - 1e-4)) / count  # rounding must not reach the next part
+    share = (xnp.arange(count, dtype=np.float32) + xnp.minimum(random, 1 - 1e-3)) / count  # rounding must not reach the next part
     near, far = near[:, None], far[:, None]
     if disparity:
         return 1 / ((1 - share) / near + share / far)

@@ -219,7 +219,9 @@ def test_one_weight_that_is_not_a_number_spoils_its_ray_and_the_step(pool):
     params = init_params(HASH, "deferred", True, np.random.default_rng(0))
     params["coarse"]["field"]["table"][:] = np.nan
     params = jax.tree.map(jnp.asarray, params)
-    assert not jnp.isfinite(jax.jit(scheme.loss)(params, scheme.batch(params, 0.0).arrays)[0])  # and `train_step` skips it
+    batch = scheme.batch(params, 0.0).arrays
+    # A ReLU may make 0 of it on the way to the loss, in some compilations; the gradient has it all the same.
+    assert not jax.jit(partial(train_step, SMALL, scheme.loss))(params, zero_moments(params), batch, 1e-2, 1)[2][2]
 
 
 @pytest.mark.hard_case(17)

@@ -39,15 +39,18 @@ def test_gradients_are_clipped_by_value_and_then_by_norm():
 
 
 @pytest.mark.hard_case(26)
-@pytest.mark.parametrize("largest", [1e25, 3e38, 1e-30, 0.0])
+@pytest.mark.parametrize("largest", [1e25, 3e38])
 def test_a_norm_does_not_overflow(largest):
     settings = replace(PAPER, clip_value=None)
-    got = np.asarray(clipped(settings, {"a": jnp.array([largest, -largest / 2, 0], jnp.float32)})["a"], np.float64)
-    assert np.isfinite(got).all()
-    if largest > 1:
-        assert got == pytest.approx(0.01 * np.array([1, -0.5, 0]) / np.hypot(1, 0.5), rel=1e-5)
-    else:
-        assert np.abs(got).max() <= max(largest * 1.0001, 0)
+    got = np.asarray(jax.jit(partial(clipped, settings))({"a": jnp.array([largest, -largest, 1], jnp.float32)})["a"], np.float64)
+    assert got == pytest.approx([0.01 / np.sqrt(2), -0.01 / np.sqrt(2), 0], rel=1e-5)
+
+
+@pytest.mark.hard_case(22)
+@pytest.mark.parametrize("largest", [0.0, 1e-30, 1e-12])
+def test_a_gradient_of_nearly_nothing_stays_as_it_is(largest):
+    gradient = jnp.array([largest, -largest / 2, 0], jnp.float32)
+    assert np.array_equal(clipped(PAPER, {"a": gradient})["a"], gradient)
 
 
 def slope_loss(params, batch):
