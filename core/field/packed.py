@@ -41,9 +41,11 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The rays of a batch: tile [rays drawn], and of each of its samples the ray [N] and the distance along it [N]."""
+    """The rays of a batch: tile [rays drawn], blind [rays drawn] bool, cut before their first sample, and of each of the
+    batch's samples the ray [N] and the distance along it [N]."""
 
     tile: np.ndarray
+    blind: np.ndarray
     ray: np.ndarray
     distance: np.ndarray
 
@@ -106,7 +108,8 @@ class PackedScheme:
         ray = filled(size, got.ray[:count], most - 1)
         used = np.zeros(most, bool)
         used[ray[:count]] = True
-        self.drawn = Drawn(tile, got.ray[:count], got.distance[:count])
+        blind = got.cut & (np.bincount(got.ray, minlength=draw) == 0)
+        self.drawn = Drawn(tile, blind, got.ray[:count], got.distance[:count])
         arrays = {
             "inputs": self._inputs(filled(size, got.points[:count])),
             "ray": ray,
@@ -126,13 +129,15 @@ class PackedScheme:
         return Batch(arrays, count, int(used.sum()))
 
     def _learn_ends(self, told: dict[str, Any]) -> None:
-        """Tell the tiles of the last batch where its rays used up their light."""
+        """Tell the tiles of the last batch where its rays used up their light; a ray that saw nothing because it was cut wants
+        to look all the way."""
         ray, lit, depth = self.drawn.ray, np.asarray(told["lit"]), np.asarray(told["depth"])
         first = np.flatnonzero(np.diff(ray, prepend=-1))
         rays = ray[first]
         last = first + lit[rays].astype(np.int64).clip(1) - 1
         end = np.where(depth[rays] > -np.log(DARK), self.drawn.distance[last], np.float32(np.inf))
-        self.ends.learn(self.drawn.tile[rays], end)
+        blind = self.drawn.tile[self.drawn.blind]
+        self.ends.learn(np.concatenate([self.drawn.tile[rays], blind]), np.concatenate([end, np.full(len(blind), np.inf, np.float32)]))
 
     def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """See `batch_loss`."""

@@ -10,11 +10,13 @@ from ..capture.camera import Camera
 from ..capture.ndc import space_rays, world_distance
 from ..grid.march import Composited, Frame, shade
 from .field import Field
-from .sampling import CELLS, pack_samples
+from .sampling import CELLS, Samples, pack_samples
 from .volume import composite, mean_distance, optical_depth
 
 Progress = Callable[[float, str], None]
 RAYS = 8192
+STRETCH = 48  # samples of each ray that are evaluated before looking which rays are used up
+DARK = 1e-4  # light of which no more is followed
 
 
 def render_field(field: Field, camera: Camera, progress: Progress = lambda fraction, what: None) -> Frame:
@@ -26,12 +28,9 @@ def render_field(field: Field, camera: Camera, progress: Progress = lambda fract
     parts = []
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
-        x, size = (o[rows] - domain.centre) * domain.scale, len(o[rows])
-        samples = pack_samples(domain, occupied, x, d[rows], field.spacing, np.full(size, 0.5), near[rows] * domain.scale)
-        density, values = field.seen(samples.points, directions[rows][samples.ray])
-        values = np.concatenate([values, samples.distance[:, None]], axis=-1)
-        thickness = optical_depth(np, density, np.float32(field.spacing))
-        parts.append(composite(np, thickness, values, samples.ray, size)[:2])
+        x = (o[rows] - domain.centre) * domain.scale
+        samples = pack_samples(domain, occupied, x, d[rows], field.spacing, np.full(len(x), 0.5), near[rows] * domain.scale)
+        parts.append(integrate(field, samples, directions[rows]))
         progress(min(start + RAYS, count) / count, "Rendering the field")
     gathered, through = (np.concatenate(part) for part in zip(*parts, strict=True))
     rays = Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1] / np.float32(domain.scale))
@@ -40,3 +39,21 @@ def render_field(field: Field, camera: Camera, progress: Progress = lambda fract
     depth = np.where(alpha > 1e-6, depth, np.inf).astype(np.float32)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))
+
+
+def integrate(field: Field, samples: Samples, looking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Composite what a field holds at packed samples of rays that look along `looking` [R, 3], front to back until light is used up.
+
+    Returns values [R, C + 1], the last of them distance, and transmittance [R].
+    """
+    first = np.searchsorted(samples.ray, np.arange(len(looking)))
+    place = np.arange(len(samples.ray)) - first[samples.ray]
+    gathered, through = np.float32(0), np.ones(len(looking), np.float32)
+    for start in range(0, int(place.max(initial=0)) + 1, STRETCH):
+        now = np.flatnonzero((place >= start) & (place < start + STRETCH) & (through[samples.ray] > DARK))
+        ray = samples.ray[now]
+        density, values = field.seen(samples.points[now], looking[ray])
+        values = np.concatenate([values, samples.distance[now, None]], axis=-1)
+        part, passed, _ = composite(np, optical_depth(np, density, np.float32(field.spacing)), values, ray, len(looking))
+        gathered, through = gathered + through[:, None] * part, through * passed
+    return np.asarray(gathered), through
