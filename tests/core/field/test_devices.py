@@ -101,6 +101,7 @@ def test_two_processes_have_the_losses_of_one_and_only_the_first_writes(dataset,
     assert not (tmp_path / "1").exists()
 
 
+@pytest.mark.slow
 def test_processes_that_follow_the_clock_follow_the_same_one(dataset, tmp_path):
     first, second = children(dataset, tmp_path, replace(SETTINGS, steps=None, seconds=1.0), 2, 1)
     assert first["losses"] == second["losses"] and first["sums"] == second["sums"]

@@ -71,7 +71,9 @@ def learned(pool: PixelPool, settings: TrainSettings, steps: int) -> tuple[Hiera
     return scheme, params, errors
 
 
-@pytest.mark.parametrize("family", [HASH, MlpFamily(width=32, depth=2, degrees=4)], ids=["hash", "mlp"])
+@pytest.mark.parametrize(
+    "family", [pytest.param(HASH, marks=pytest.mark.slow), MlpFamily(width=32, depth=2, degrees=4)], ids=["hash", "mlp"]
+)
 @pytest.mark.parametrize("view", ["deferred", "diffuse", "sample", "tiny"])
 def test_every_architecture_learns(pool, family, view):
     rate = 2e-2 if family is HASH else 5e-3
@@ -304,7 +306,8 @@ def test_the_state_comes_back(pool):
     assert np.array_equal(other.occupied, scheme.occupied)
 
 
-@pytest.mark.parametrize("preset", ["paper-small", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["paper-small", "paper"])
 def test_the_presets_of_the_paper_take_a_step(pool, preset):
     settings = replace(PRESETS[preset], rays=2)
     _, _, errors = learned(pool, settings, 1)
