@@ -13,14 +13,14 @@ import numpy as np
 
 from .capture.camera import Camera
 from .capture.dataset import Dataset, DatasetOptions, read_dataset
-from .capture.images import png_bytes, to_uint8
+from .capture.images import over, png_bytes, to_uint8
 from .describe import Result, any_field, any_scene, kind_of
 from .errors import SnergError, needs_jax
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.march import Frame, MarchSettings, march, tables_of
 from .progress import Progress, silent, within
 from .study.metrics import mean_psnr, mse, ssim
-from .study.pictures import contact_sheet, error_picture, over
+from .study.pictures import contact_sheet, error_picture
 
 SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
 SHEET_PIXELS = 480  # width of a picture on it

@@ -22,7 +22,7 @@ from build_scene import CAMERAS, SIZE, build
 
 import snerg
 from snerg.core.capture.dataset import Dataset, read_dataset
-from snerg.core.capture.images import over_white, write_png
+from snerg.core.capture.images import over, write_png
 from snerg.core.cli import Terminal
 from snerg.core.describe import folder_bytes
 from snerg.core.evaluate import Score
@@ -132,7 +132,7 @@ def capture(options: argparse.Namespace, watch: Stopwatch) -> None:
 
 def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: Snerg, preview: Pictures) -> None:
     """Measure the three stages against the held-out renders; write report.json and contact.png; print the table."""
-    truth = [over_white(held_out.read(index)) for index in range(len(held_out.views))]
+    truth = [over(held_out.read(index)) for index in range(len(held_out.views))]
     stages = {
         "field": [render_field(field, camera).over() for camera in held_out.cameras],
         "bake": [march(baked, camera).over() for camera in held_out.cameras],

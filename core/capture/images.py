@@ -218,13 +218,13 @@ def to_uint8(colour: np.ndarray) -> np.ndarray:
     return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def over_white(image: np.ndarray) -> np.ndarray:
-    """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over white, in display space (hard case 8)."""
+def over(image: np.ndarray, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over a colour, in display space (hard case 8)."""
     colour = image[..., :3].astype(np.float32) / 255
     if image.shape[-1] == 3:
         return colour
     alpha = image[..., 3:].astype(np.float32) / 255
-    return colour * alpha + (1 - alpha)
+    return colour * alpha + (1 - alpha) * np.array(background, np.float32)
 
 
 def srgb_to_linear(colour: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..capture.dataset import Dataset
-from ..capture.images import over_white
+from ..capture.images import over
 from ..errors import SnergError
 from ..field.networks import ViewNetwork, as_numpy, view_residual
 from .march import MarchSettings, march_rays
@@ -100,7 +100,7 @@ def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: P
         towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
         pixels = image[row[seen], column[seen]]
         clear = 1 - pixels[:, 3:].astype(np.float32) / 255 if pixels.shape[-1] == 4 else np.float32(0)
-        wanted = over_white(pixels) + dark * (rays.transmittance[seen, None] - clear)
+        wanted = over(pixels) + dark * (rays.transmittance[seen, None] - clear)
         parts.append((colour, rays.features[seen], towards, wanted))
         progress((i + 1) / len(dataset.cameras), f"Marching training view {i + 1} of {len(dataset.cameras)}")
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]

@@ -14,15 +14,6 @@ PAPER, INK = (38, 38, 42), (235, 235, 235)
 GAIN = 10
 
 
-def over(image: np.ndarray, background: tuple[float, float, float]) -> np.ndarray:
-    """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over a colour, in display space (hard case 8)."""
-    colour = image[..., :3].astype(np.float32) / 255
-    if image.shape[-1] == 3:
-        return colour
-    alpha = image[..., 3:].astype(np.float32) / 255
-    return colour * alpha + (1 - alpha) * np.array(background, np.float32)
-
-
 def error_picture(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Ten times the difference of two pictures, cut off at 1."""
     return np.clip(GAIN * np.abs(a - b), 0, 1)

@@ -13,7 +13,7 @@ from flax_checkpoint import networks, tree, write
 from scenes import make_cameras, make_snerg
 from snerg.core import describe, evaluate, verbs
 from snerg.core.capture.dataset import DatasetOptions, read_dataset
-from snerg.core.capture.images import over_white, read_image, to_uint8
+from snerg.core.capture.images import over, read_image, to_uint8
 from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.reference import write_reference
@@ -126,7 +126,7 @@ def test_pictures_beside_the_truth(scene, dataset, tmp_path):
     views = json.loads((tmp_path / "pictures" / "views.json").read_text())
     assert [view["psnr"] > 40 for view in views] == [True] * 3
     sheet = read_image(tmp_path / "pictures" / "contact.png")
-    truth = to_uint8(over_white(read_dataset(dataset, "test").read(0)))
+    truth = to_uint8(over(read_dataset(dataset, "test").read(0)))
     assert np.array_equal(sheet[28:68, 6:46], truth)  # beside it, what was rendered
     assert np.array_equal(sheet[28:68, 52:92], read_image(tmp_path / "pictures" / "000.png"))
 
@@ -160,7 +160,7 @@ def test_a_dataset_is_described(dataset):
 @pytest.mark.hard_case(8)
 def test_images_are_put_over_white_in_display_space():
     image = np.uint8([[[0, 0, 0, 128], [255, 0, 0, 255], [9, 9, 9, 0]]])
-    assert np.allclose(over_white(image), [[[127 / 255] * 3, [1, 0, 0], [1, 1, 1]]], atol=1e-6)
+    assert np.allclose(over(image), [[[127 / 255] * 3, [1, 0, 0], [1, 1, 1]]], atol=1e-6)
 
 
 def test_importing_a_checkpoint_gives_a_field_that_equals_it(tmp_path, checkpoint):
@@ -215,7 +215,7 @@ def test_rendering_views(tmp_path, scene, size, shape):
     assert picture.shape == (height, width, 4)
     expected = march(read_scene(scene), cameras[1].resized(width, height))
     assert np.array_equal(picture, to_uint8(expected.straight()))
-    assert np.abs(over_white(picture) - expected.over()).max() < 2.5 / 255
+    assert np.abs(over(picture) - expected.over()).max() < 2.5 / 255
 
 
 def test_names_of_pictures():
