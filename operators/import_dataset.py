@@ -1,7 +1,6 @@
 """Somebody's capture to cameras, points and a box in the scene."""
 
-# mypy: disable-error-code="valid-type"
-# Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
+from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
@@ -13,50 +12,27 @@ import numpy as np
 
 from ..core.capture.camera import Camera
 from ..core.capture.dataset import Dataset, DatasetOptions, View, read_dataset
-from ..core.errors import SnergError
 from ..snerg_addon.activity import Thought, Work
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
 from ..snerg_addon.project import Project
-from ..snerg_addon.properties import RELATIVE_PATHS
-from .job_runner import LongVerb
+from .import_verb import ImportVerb
 
 SHOWN = 0.05  # a camera's size in the viewport, as a part of how far it stands from the middle
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
-class SNERG_OT_import_dataset(LongVerb, bpy.types.Operator):
+class SNERG_OT_import_dataset(ImportVerb, bpy.types.Operator):
     """Open photographs with their cameras (transforms.json, LLFF or COLMAP): each camera with its picture behind it, and the box"""
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
-
-    filepath: bpy.props.StringProperty(
-        name="Path", description="The dataset's folder, or its transforms file", subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATHS}
-    )
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN", *RELATIVE_PATHS})
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder first, where there is a window to ask in and the panel does not say."""
-        if self.filepath or self.directory or bpy.app.background or context.window is None:
-            return super().invoke(context, event)
-        self._asked = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Wait, unless the path comes from the file browser: then start again with the path, beside everything else."""
-        if getattr(self, "_asked", False):
-            return set(bpy.ops.snerg.import_dataset("INVOKE_DEFAULT", filepath=self.filepath or self.directory))
-        return super().execute(context)
+    key, what = "dataset", "dataset"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """Read in a thread; the scene is touched only at the end, all at once, so that one undo takes it back."""
-        if not (self.filepath or self.directory):
-            raise SnergError("No path was given; choose the dataset to import.")
-        path = Path(bpy.path.abspath(self.filepath or self.directory))
-        settings = context.scene.snerg
+        path, settings = self.path(), context.scene.snerg
         options = DatasetOptions(settings.test_every, settings.downscale)
         return Thought(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
 

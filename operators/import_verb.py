@@ -1,8 +1,9 @@
-"""What importing a field and importing a scene have in common."""
+"""What importing a dataset, a field and a scene have in common."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
 
+from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
@@ -16,7 +17,7 @@ from .job_runner import LongVerb
 
 
 class ImportVerb(LongVerb):
-    """key: the step of the project that the import fills. what: its name in a sentence."""
+    """key: the step of the project that the import fills, and the end of the operator's name. what: its name in a sentence."""
 
     key: ClassVar[str]
     what: ClassVar[str]
@@ -42,9 +43,13 @@ class ImportVerb(LongVerb):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`import` of the command line."""
+        return start_verb(["import", str(self.path()), "--out", str(getattr(project, self.key))])
+
+    def path(self) -> Path:
+        """What to import. Raises SnergError when nothing was chosen."""
         if not self.filepath:
             raise SnergError(f"No path was given; choose the {self.what} to import.")
-        return start_verb(["import", bpy.path.abspath(self.filepath), "--out", str(getattr(project, self.key))])
+        return Path(bpy.path.abspath(self.filepath))
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from ..core.describe import is_dataset
+from ..core.describe import folder_bytes, is_dataset
 from ..core.errors import SnergError
 from ..core.files import json_bytes, read_json, write_bytes
 
@@ -113,11 +113,6 @@ def _absolute(path: str, scene: bpy.types.Scene) -> Path:
     if path.startswith("//") and not bpy.data.filepath:
         return Path(bpy.app.tempdir) / path[2:]
     return Path(os.path.abspath(bpy.path.abspath(path, library=scene.library)))
-
-
-def folder_bytes(path: Path) -> int:
-    """What a folder's files weigh, bytes."""
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def remember(project: Project, step: str, folder: Path, facts: dict[str, Any], **more: Any) -> None:
