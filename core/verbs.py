@@ -27,7 +27,8 @@ from .export.reference import write_reference
 from .export.scene import write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
-from .field.settings import PRESETS, TrainSettings, suited_to_time, with_values
+from .field.setting_names import with_values
+from .field.settings import PRESETS, TrainSettings, suited_to_time
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.box import Box
 from .grid.march import MarchSettings, march, tables_of
@@ -57,7 +58,7 @@ def train_field(
     """Train a field on a dataset's train split (JAX); an unfinished training with the same settings goes on where it stopped.
 
     minutes or steps: how long; the preset's own time when neither is given. options: how to read the dataset. values:
-    settings by name, in place of the preset's (see settings.with_values). Raises SnergError on bad input or when the training
+    settings by name, in place of the preset's (see with_values). Raises SnergError on bad input or when the training
     goes wrong, Cancelled when `progress` does; then `out` holds the field as far as it got.
     """
     check_out(out, "field", dataset)

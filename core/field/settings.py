@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-import types
-import typing
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from ..errors import SnergError
 from .networks import VIEWS, Family, HashFamily, MlpFamily
 
-FAMILIES: dict[str, type[HashFamily] | type[MlpFamily]] = {"hash": HashFamily, "mlp": MlpFamily}
 MOST_BYTES = 2**31  # of one array of a step; a slip of the finger asks for more
 LONG = 480.0  # seconds of training
 
@@ -82,12 +76,12 @@ class TrainSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))
-        _one_of("ndc", self.ndc, ("auto", "on", "off"))
-        _one_of("transparency", self.transparency, ("auto", "on", "off"))
-        _one_of("backdrop", self.backdrop, ("auto", "on", "off"))
-        _one_of("sampler", self.sampler, ("packed", "hierarchical"))
-        _one_of("distances", self.distances, ("auto", "linear", "disparity"))
+        one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))
+        one_of("ndc", self.ndc, ("auto", "on", "off"))
+        one_of("transparency", self.transparency, ("auto", "on", "off"))
+        one_of("backdrop", self.backdrop, ("auto", "on", "off"))
+        one_of("sampler", self.sampler, ("packed", "hierarchical"))
+        one_of("distances", self.distances, ("auto", "linear", "disparity"))
         if self.background not in ("white", "black", "random") and not re.fullmatch("#[0-9a-fA-F]{6}", self.background):
             raise SnergError(f"The setting background is {self.background!r}; give white, black, random or a colour such as #80ff00.")
         for name, least, most in (
@@ -119,25 +113,14 @@ class TrainSettings:
             raise SnergError("An opaque background is something that only the hierarchical sampler has; set sampler=hierarchical with it.")
         _check_family(self.family)
 
-    @classmethod
-    def from_json(cls, value: Mapping[str, Any]) -> TrainSettings:
-        """Undo `dataclasses.asdict`, also after JSON; what is missing has its default. Raises SnergError on anything else."""
-        value = dict(value)
-        family = value.pop("family", None)
-        try:
-            if family is not None:
-                value["family"] = _from_json(HashFamily if "grid" in family else MlpFamily, family, "family.")
-            return typing.cast(TrainSettings, _from_json(cls, value, ""))
-        except (TypeError, AttributeError) as error:
-            raise SnergError(f"These training settings are damaged ({error}); take a preset.") from error
-
 
 def _within(name: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
         raise SnergError(f"The setting {name} is {value}; it must be from {least:g} to {most:g}.")
 
 
-def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
+def one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
+    """Raise SnergError unless a setting's value is one of the choices."""
     if value not in choices:
         raise SnergError(f"The setting {name} is {value!r}; it must be one of {', '.join(choices)}.")
 
@@ -148,7 +131,7 @@ def _check_family(family: Family) -> None:
         for name, most in (("depth", 64), ("skip", 64)):
             _within(f"family.{name}", getattr(family, name), 1, most)
         _within("family.degrees", family.degrees, 0, 20)
-        _one_of("family.density", family.density, ("softplus", "relu"))
+        one_of("family.density", family.density, ("softplus", "relu"))
         return
     grid = family.grid
     for name, most in (("levels", 32), ("coarsest", 4096), ("features", 16), ("log2_size", 24)):
@@ -160,83 +143,6 @@ def _check_family(family: Family) -> None:
         )
 
 
-def with_values(settings: TrainSettings, values: Mapping[str, str]) -> TrainSettings:
-    """Settings with some of them changed by name, as text: {"rate": "1e-3", "family.width": "256", "clip_norm": "none"}.
-
-    "family" itself is 'hash' or 'mlp' and gives that family's defaults. Raises SnergError on an unknown name or a value that
-    does not fit it. A time to train for replaces a number of steps.
-    """
-    changed: dict[str, Any] = {"steps": None} if "seconds" in values and "steps" not in values else {}
-    for name in sorted(values, key=lambda n: n.count(".")):  # the family before what it holds
-        if name == "family":
-            _one_of(name, values[name], tuple(FAMILIES))
-            changed[name] = FAMILIES[values[name]]()
-        else:
-            _put(changed, replace(settings, **({"family": changed["family"]} if "family" in changed else {})), name, values[name])
-    return replace(settings, **changed)
-
-
-def _put(changed: dict[str, Any], settings: TrainSettings, name: str, text: str) -> None:
-    """Parse the value of `name`, which may lie within the family, into `changed`."""
-    path = name.split(".")
-    holders: list[Any] = [settings]
-    for part in path[:-1]:
-        holders.append(getattr(holders[-1], part, None))
-        if not is_dataclass(holders[-1]):
-            _unknown(name, settings)
-    kinds = typing.get_type_hints(type(holders[-1]))
-    if path[-1] not in kinds or path[-1] not in {f.name for f in fields(holders[-1])} or is_dataclass(getattr(holders[-1], path[-1])):
-        _unknown(name, settings)
-    value: Any = _parsed(name, text, kinds[path[-1]])
-    for part, holder in zip(reversed(path[1:]), reversed(holders[1:]), strict=True):
-        value = replace(holder, **{part: value})
-    changed[path[0]] = value
-
-
-def _unknown(name: str, settings: TrainSettings) -> typing.NoReturn:
-    known = setting_names(settings)
-    close = difflib.get_close_matches(name, known, 3, 0.5) or known
-    raise SnergError(f"There is no setting {name!r}; did you mean {' or '.join(close)}?")
-
-
-def setting_names(settings: TrainSettings) -> list[str]:
-    """Every name that `with_values` takes for these settings: those of the family depend on which it is."""
-    return ["family", *_names(settings, "")]
-
-
-def _names(holder: Any, prefix: str) -> list[str]:
-    names: list[str] = []
-    for f in fields(holder):
-        value = getattr(holder, f.name)
-        names += _names(value, f"{prefix}{f.name}.") if is_dataclass(value) else [prefix + f.name]
-    return names
-
-
-def _kinds(kind: Any) -> tuple[Any, ...]:
-    """int | None to (int, NoneType)."""
-    return typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
-
-
-def _parsed(name: str, text: str, kind: Any) -> Any:
-    kinds, low = _kinds(kind), text.strip().lower()
-    if type(None) in kinds and low in ("none", ""):
-        return None
-    try:
-        if bool in kinds:
-            return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[low]
-        if str in kinds:
-            return text.strip()
-        number = float(low)
-        if int not in kinds:
-            return number
-        if number != int(number):
-            raise ValueError
-        return int(low) if low.lstrip("+-").isdigit() else int(number)
-    except (ValueError, KeyError, OverflowError):
-        wanted = "yes or no" if bool in kinds else "a whole number" if int in kinds else "a number"
-        raise SnergError(f"The setting {name} is {text!r}; it must be {wanted}{' or none' if type(None) in kinds else ''}.") from None
-
-
 def suited_to_time(settings: TrainSettings) -> TrainSettings:
     """The settings with a hash table twice as large where the training is long enough to fill it (measured: a step takes a
     fifth to two fifths longer; it loses half a decibel after two minutes, and still a little after five)."""
@@ -244,25 +150,6 @@ def suited_to_time(settings: TrainSettings) -> TrainSettings:
         return settings
     grid = settings.family.grid
     return replace(settings, family=replace(settings.family, grid=replace(grid, log2_size=grid.log2_size + 1)))
-
-
-def _from_json(cls: Any, value: Mapping[str, Any], prefix: str) -> Any:
-    """A dataclass from JSON values, each of the type that its field says."""
-    kinds = typing.get_type_hints(cls)
-    if unknown := sorted(set(value) - set(kinds)):
-        raise SnergError(f"There is no training setting {prefix}{unknown[0]}; these settings are another version's.")
-    return cls(**{name: _checked(prefix + name, item, kinds[name]) for name, item in value.items()})
-
-
-def _checked(name: str, value: Any, kind: Any) -> Any:
-    kinds = _kinds(kind)
-    if any(is_dataclass(k) for k in kinds):
-        return value if is_dataclass(value) else _from_json(kinds[0], value, f"{name}.")
-    if float in kinds and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        raise SnergError(f"The training setting {name} is {value!r}, which is not of its kind; take a preset.")
-    return value
 
 
 _PAPER = TrainSettings(

@@ -3,10 +3,11 @@ when it starts."""
 
 import json
 import os
+import pickle
 import socket
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ SETTINGS = TrainSettings(
 HIERARCHICAL = replace(SETTINGS, family=MlpFamily(width=16, depth=2), sampler="hierarchical", rays=64, coarse=8, fine=8, rays_at_once=16)
 
 CHILD = """
-import hashlib, json, sys
+import hashlib, json, pickle, sys
 from pathlib import Path
 job = json.loads(sys.argv[1])
 if job["processes"] > 1:
@@ -42,7 +43,6 @@ if job["processes"] > 1:
 import jax, numpy as np
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.field import train
-from snerg.core.field.settings import TrainSettings
 losses = []
 advance = train.Trainer.advance
 def logged(self, *more):
@@ -50,7 +50,7 @@ def logged(self, *more):
     advance(self, *more)
     losses.append(self.loss)
 train.Trainer.advance = logged
-field = train.train(read_dataset(Path(job["dataset"])), TrainSettings.from_json(job["settings"]), Path(job["folder"]))
+field = train.train(read_dataset(Path(job["dataset"])), pickle.loads(bytes.fromhex(job["settings"])), Path(job["folder"]))
 sums = hashlib.sha256(b"".join(np.asarray(a).tobytes() for a in jax.tree.leaves(field.params))).hexdigest()
 print(json.dumps({"losses": losses, "devices": len(jax.devices()), "sums": sums}))
 """
@@ -61,7 +61,7 @@ def children(dataset: Path, folder: Path, settings: TrainSettings, processes: in
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    job = {"dataset": str(dataset), "settings": asdict(settings), "processes": processes, "coordinator": f"127.0.0.1:{port}"}
+    job = {"dataset": str(dataset), "settings": pickle.dumps(settings).hex(), "processes": processes, "coordinator": f"127.0.0.1:{port}"}
     environment = os.environ | {"XLA_FLAGS": f"--xla_force_host_platform_device_count={devices}", "JAX_PLATFORMS": "cpu"}
     running = []
     for process in range(processes):

@@ -1,11 +1,11 @@
 """Training for real, small: it learns, stops cleanly, resumes to the bit, and refuses what cannot work."""
 
-import json
+import pickle
 import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -176,18 +176,17 @@ def test_nothing_that_is_not_finite_is_written(trained, tmp_path):
 
 
 RUN_AND_SAVE_EACH_STEP = """
-import json, sys
+import pickle, sys
 from pathlib import Path
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.field import train, trial
 from snerg.core.field.checkpoint import is_field
-from snerg.core.field.settings import TrainSettings
 train.TELL_EVERY, train.SAVE_SHARE, trial.LEAST = 0.0, 1e9, 2
 dataset, folder, settings = sys.argv[1:]
 def tell(fraction, what):
     print(what, flush=True)
 folder = Path(folder)
-train.train(read_dataset(Path(dataset)), TrainSettings.from_json(json.loads(settings)), folder, tell, is_field(folder), 0.0)
+train.train(read_dataset(Path(dataset)), pickle.loads(bytes.fromhex(settings)), folder, tell, is_field(folder), 0.0)
 """
 
 
@@ -200,7 +199,7 @@ def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_doe
     folder = tmp_path / "killed"
     draw = np.random.default_rng(0)
     for _ in range(2):
-        command = [sys.executable, "-c", RUN_AND_SAVE_EACH_STEP, str(dataset), str(folder), json.dumps(asdict(settings))]
+        command = [sys.executable, "-c", RUN_AND_SAVE_EACH_STEP, str(dataset), str(folder), pickle.dumps(settings).hex()]
         child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         steps = (line for line in child.stdout if line.startswith("Step"))
         next(steps), next(steps)  # it has saved between them
