@@ -19,7 +19,7 @@ from .errors import SnergError, needs_jax
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.march import Frame, MarchSettings, march, tables_of
 from .progress import Progress, silent, within
-from .study.metrics import mean_psnr, mse, ssim
+from .study.metrics import mean_psnr, mse, psnr_of, ssim
 from .study.pictures import contact_sheet, error_picture
 
 SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
@@ -180,7 +180,7 @@ class Score:
     def views(self) -> list[Result]:
         """{"name", "psnr", "ssim"} of each view."""
         rows = zip(self.names, self.errors, self.likeness, strict=True)
-        return [{"name": n, "psnr": round(-10 * math.log10(e), 3) if e else None, "ssim": round(s, 5)} for n, e, s in rows]
+        return [{"name": n, "psnr": round(psnr_of(e), 3) if e else None, "ssim": round(s, 5)} for n, e, s in rows]
 
     def text(self) -> str:
         """For a progress line."""

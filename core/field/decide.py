@@ -12,7 +12,7 @@ from ..capture.camera import Camera
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..grid.box import Box
-from .sampling import CELLS, Domain, carve, cell_centres, clip_rays
+from .sampling import CELLS, Domain, carve, cell_centres, clip_rays, pack_samples
 
 TRANSPARENT = 0.001  # share of pixels that are not opaque, from which alpha says something of the scene
 FACING = 35.0  # degrees between the cameras' mean axis and theirs, up to which a scene is forward-facing (LLFF: 20 and less)
@@ -38,7 +38,7 @@ class Decision:
 
     def text(self) -> str:
         """For a progress line: 'NDC: no. The cameras ...'."""
-        chosen = {True: "yes", False: "no"}.get(self.chosen, self.chosen) if isinstance(self.chosen, bool) else self.chosen
+        chosen = ("yes" if self.chosen else "no") if isinstance(self.chosen, bool) else self.chosen
         return f"{self.effect}: {chosen}{', as the settings say' if self.overridden else ''}. {self.evidence}"
 
     def to_json(self) -> dict[str, Any]:
@@ -164,20 +164,14 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, np.ndarray
     high = np.append(found[:, :2].max(axis=0).clip(-WIDEST, WIDEST), 1.0)
     domain = Domain.around(low, high)
     x = cell_centres(CELLS)
-    inside = np.flatnonzero(((x >= domain.low - 1 / CELLS) & (x <= domain.high + 1 / CELLS)).all(axis=-1))
+    inside = ((x >= domain.low - 1 / CELLS) & (x <= domain.high + 1 / CELLS)).all(axis=-1)
     alive = np.zeros(CELLS**3, bool)
     # A cell that no camera's centre ray meets may still show at its rim: an extra cell all round.
     alive[inside] = carve(ndc.to_world(domain.to_world(x[inside])), cameras, [None] * len(cameras), 0.0)
     grown = alive.reshape((CELLS,) * 3)
     for axis in range(3):
         grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
-    return domain, grown.reshape(-1) & _mask(inside)
-
-
-def _mask(inside: np.ndarray) -> np.ndarray:
-    mask = np.zeros(CELLS**3, bool)
-    mask[inside] = True
-    return mask
+    return domain, grown.reshape(-1) & inside
 
 
 def disparity(setting: str, domain: Domain, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, ndc: bool) -> Decision:
@@ -209,8 +203,6 @@ def sampling(sampler: str, filled: float) -> Decision:
 
 def share_filled(domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray) -> float:
     """Share of the way of rays (field coordinates) through the domain that lies in cells which may hold something."""
-    from .sampling import pack_samples
-
     step = 4 / CELLS
     enter, leave = clip_rays(domain, origins, directions, near)
     way = np.maximum(leave - enter, 0).sum() / step

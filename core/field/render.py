@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.ndc import space_rays, world_distance
 from ..grid.march import Composited, Frame, shade
+from ..progress import Progress, silent
 from .field import Field
 from .sampling import CELLS, Samples, pack_samples
 from .volume import composite, mean_distance, optical_depth
 
-Progress = Callable[[float, str], None]
 RAYS = 8192
 STRETCH = 48  # samples of each ray that are evaluated before looking which rays are used up
 DARK = 1e-4  # light of which no more is followed
 
 
-def render_field(field: Field, camera: Camera, progress: Progress = lambda fraction, what: None) -> Frame:
+def render_field(field: Field, camera: Camera, progress: Progress = silent) -> Frame:
     """Volume-render a camera's picture (eqs. 5 to 7) at the field's own sample spacing."""
     origins, directions = camera.rays()
     domain, count = field.domain, len(origins)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -99,17 +99,10 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
             f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
         )
     views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
-    bounds = _bounds(shots, points)
-    return Source(
-        root,
-        "colmap",
-        views,
-        photographs=True,
-        points=points.points if len(points.points) else None,
-        colours=points.colours if len(points.points) else None,
-        bounds=bounds,
-        factor=factor,
-    )
+    source = Source(root, "colmap", views, photographs=True, factor=factor)
+    if not len(points.points):
+        return source
+    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
 
 
 T = TypeVar("T")
@@ -118,19 +111,20 @@ T = TypeVar("T")
 def read_model(folder: Path) -> tuple[dict[int, Lens], list[Shot], Points]:
     """The files of a model, binary where there are both; it may lack points. Raises SnergError when one is damaged or missing."""
     binary = (folder / "cameras.bin").is_file()
-    lenses = _read(folder, "cameras", *((".bin", binary_lenses) if binary else (".txt", text_lenses)))
-    shots = _read(folder, "images", *((".bin", binary_shots) if binary else (".txt", text_shots)))
     suffix = ".bin" if binary else ".txt"
-    has_points = (folder / f"points3D{suffix}").is_file()
-    points = _read(folder, "points3D", suffix, binary_points if binary else text_points) if has_points else _points([])
+    lenses = _read(folder / f"cameras{suffix}", binary_lenses if binary else text_lenses)
+    shots = _read(folder / f"images{suffix}", binary_shots if binary else text_shots)
+    file = folder / f"points3D{suffix}"
+    points = _read(file, binary_points if binary else text_points) if file.is_file() else _points([])
     for shot in shots:
         if shot.lens not in lenses:
             raise SnergError(f"{folder}: the image {shot.name} has camera {shot.lens}, which the model does not have.")
     return lenses, shots, points
 
 
-def _read(folder: Path, name: str, suffix: str, reader: Callable[[Path], T]) -> T:
-    file = inside(folder, name + suffix, str(folder))
+def _read(path: Path, reader: Callable[[Path], T]) -> T:
+    folder = path.parent
+    file = inside(folder, path.name, str(folder))
     if not file.is_file():
         raise SnergError(f"The COLMAP model {folder} has no {file.name}; export the model again.")
     if file.stat().st_size > MAX_BYTES:
@@ -317,8 +311,6 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
 
 def _bounds(shots: list[Shot], points: Points) -> np.ndarray | None:
     """[V, 2] depths of the nearest and the farthest point in each view; None where a view has no points."""
-    if not len(points.numbers):
-        return None
     bounds = []
     for shot in shots:
         place = np.searchsorted(points.numbers, shot.seen).clip(max=len(points.numbers) - 1)
