@@ -16,6 +16,7 @@ from .capture.dataset import Dataset, DatasetOptions, read_dataset
 from .capture.images import over, png_bytes, to_uint8
 from .describe import Result, any_field, any_scene, kind_of
 from .errors import SnergError, needs_jax
+from .field.losses import shown_over
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.march import Frame, MarchSettings, march, tables_of
 from .progress import Progress, silent, within
@@ -121,16 +122,8 @@ def options_of(known: dict[str, Any]) -> DatasetOptions:
 
 
 def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, float], str, DatasetOptions]:
-    return colour_of(str(known.get("background", "white"))), dataset, options_of(known)
-
-
-def colour_of(background: str) -> tuple[float, float, float]:
-    """RGB in [0, 1] of a training's background: 'white', 'black', '#rrggbb'; white for 'random', behind which anything may be."""
-    if background.startswith("#") and len(background) == 7:
-        red, green, blue = (int(background[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return red, green, blue
-    value = 0.0 if background == "black" else 1.0
-    return value, value, value
+    red, green, blue = shown_over(str(known.get("background", "white"))).tolist()
+    return (red, green, blue), dataset, options_of(known)
 
 
 def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> np.ndarray:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..capture.dataset import Dataset
+from .losses import over, shown_over
 from .pixels import PixelPool
 from .sampling import Domain, pack_samples
 from .settings import TrainSettings
@@ -22,18 +23,18 @@ Evaluate = Callable[[np.ndarray], Sequence[np.ndarray]]
 
 
 class Rays:
-    """Rays of a pool, drawn once, with the colours that they ought to have."""
+    """Rays of a pool, drawn once, with the colours that they ought to have over the background that the field is trained over."""
 
-    def __init__(self, pool: PixelPool, views: np.ndarray | None, count: int, seed: int) -> None:
+    def __init__(self, pool: PixelPool, views: np.ndarray | None, count: int, settings: TrainSettings) -> None:
         """views: [views] bool, those to draw from; all when None."""
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(settings.seed)
         held, pool.withheld = pool.withheld, np.zeros(len(pool.ends), bool) if views is None else ~views
         index = pool.draw(count, rng)
         pool.withheld = held
         self.origins, self.directions, self.near, self.far, self.looking = pool.rays(index)
         self.offset = rng.random(count)
-        pixels = pool.pixels[index].astype(np.float32) / 255
-        self.wanted = pixels[:, :3] * pixels[:, 3:] + 1 - pixels[:, 3:]
+        self.background = np.broadcast_to(shown_over(settings.background), (count, 3))
+        self.wanted, _ = over(pool.pixels[index].astype(np.float32) / 255, self.background)
 
     def errors(self, colour: np.ndarray) -> np.ndarray:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
@@ -43,19 +44,18 @@ class Rays:
 def packed_colours(
     settings: TrainSettings, domain: Domain, occupied: np.ndarray, spacing: float, evaluate: Evaluate, params: Any, rays: Rays
 ) -> np.ndarray:
-    """Colours [R, 3] over white of rays, from packed samples.
+    """Colours [R, 3] of rays over their background, from packed samples.
 
     evaluate: points [N, 3] to (density [N], values [N, C]) by the field of params, as they are trained.
     """
     got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near)
     density, values = evaluate(got.points)
-    host = {name: _host(params[name]) for name in ("view",) if name in params}
-    if settings.view_dependence == "sample":
-        host["field"] = _host(params["field"])
+    wanted = ("view", "field") if settings.view_dependence == "sample" else ("view",)
+    host = {name: _host(params[name]) for name in wanted if name in params}
     looking = rays.looking.astype(np.float32)
     values = sample_values(np, settings.view_dependence, settings.family, host, values, looking[got.ray])
     gathered, through, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(looking))
-    return ray_colour(np, settings.view_dependence, host, gathered, through, looking)
+    return ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background)
 
 
 def _host(tree: Any) -> Any:

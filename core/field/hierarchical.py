@@ -70,15 +70,15 @@ class HierarchicalScheme:
         return Batch(arrays, rays * (2 * self.settings.coarse + self.settings.fine), rays)
 
     def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
-        """What the fine network shows along rays, [R, 3] float32 over white; the same rays always with the same samples."""
+        """What the fine network shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
         arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
         count, some = len(rays.near), self.settings.rays_at_once
-        arrays["seed"] = np.arange(count, dtype=np.uint32)
+        arrays |= {"seed": np.arange(count, dtype=np.uint32), "background": rays.background}
         seen = []
         for start in range(0, count, some):
             part = np.minimum(np.arange(start, start + some), count - 1)  # the last part is as long as the others
             seen.append(np.asarray(self._render(params, {name: value[part] for name, value in arrays.items()})))
-        return np.where(arrays["used"][:, None], np.concatenate(seen)[:count], np.float32(1))
+        return np.where(arrays["used"][:, None], np.concatenate(seen)[:count], rays.background)
 
     def _arrays(
         self, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, far: np.ndarray, looking: np.ndarray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,14 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
 
 def plain_colour(name: str) -> np.ndarray | None:
     """The colour, uint8 [3], of a background called 'white', 'black' or '#rrggbb'; None for 'random', which is a new one each ray."""
-    if name == "random":
-        return None
     value = {"white": "#ffffff", "black": "#000000"}.get(name, name)
-    return np.array([int(value[i : i + 2], 16) for i in (1, 3, 5)], np.uint8)
+    return np.array(list(bytes.fromhex(value[1:])), np.uint8) if re.fullmatch("#[0-9a-fA-F]{6}", value) else None
+
+
+def shown_over(name: str) -> np.ndarray:
+    """The colour, float32 [3] in [0, 1], behind what a field is measured on: its training's; white where that is 'random'."""
+    colour = plain_colour(name)
+    return np.ones(3, np.float32) if colour is None else colour.astype(np.float32) / 255
 
 
 def backgrounds(name: str, rays: int, rng: np.random.Generator) -> np.ndarray:

@@ -84,7 +84,7 @@ class PackedScheme:
         return in_chunks(lambda part: self._outputs(field, self._inputs(part))[:1], x, self.settings.samples)[0]
 
     def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
-        """Colours [R, 3] of rays over white, at the present spacing."""
+        """Colours [R, 3] of rays over their background, at the present spacing."""
         field = params["field"]
 
         def evaluate(x: np.ndarray) -> tuple[np.ndarray, ...]:

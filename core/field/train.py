@@ -60,7 +60,7 @@ class Scheme(Protocol):
         """After each step: what the sampling takes from the parameters, and from what the loss told beside itself."""
 
     def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
-        """Colours [R, 3] of rays over white, as the field is sampled now."""
+        """Colours [R, 3] of rays over their background, as the field is sampled now."""
 
     def state(self) -> dict[str, np.ndarray]:
         """All that `restore` needs beside the parameters."""
@@ -191,7 +191,7 @@ class Trainer:
     def _held_out(self, data: Dataset) -> Rays:
         images = (data.read(i) for i in range(len(data.views)))
         pool = PixelPool(images, data.cameras, self.domain, masks_of(data), self.ndc)
-        return Rays(pool, None, HELD_OUT_RAYS, self.settings.seed)
+        return Rays(pool, None, HELD_OUT_RAYS, self.settings)
 
     def decide(self, decision: decide.Decision) -> None:
         """Note a decision; with that on view dependence, the views set aside come back."""

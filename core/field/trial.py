@@ -66,7 +66,7 @@ def run(trainer: Trainer) -> Generator[str, None, None]:
         trainer.decide(Decision(EFFECT, "deferred", "The training is too short to try without; a longer one measures it."))
         trainer.params = trainer.devices.place(with_bias(trainer.devices.local(trainer.params), AWAKE))
         return
-    rays = Rays(trainer.pool, trainer.aside if trainer.aside.any() else None, RAYS, trainer.settings.seed)
+    rays = Rays(trainer.pool, trainer.aside if trainer.aside.any() else None, RAYS, trainer.settings)
     before, fraction = trainer.state(), trainer.fraction()
     done = False
     try:
