@@ -9,7 +9,8 @@ from oracle import dense_march, dense_rays
 from scenes import empty_snerg, looking, make_cameras, make_snerg, snerg_from_volume
 from snerg.core.capture.camera import Camera
 from snerg.core.errors import Cancelled
-from snerg.core.grid.march import Composited, MarchSettings, chebyshev, filled, march, march_rays, tables_of
+from snerg.core.grid.march import Composited, MarchSettings, filled, march, march_rays
+from snerg.core.grid.tables import chebyshev, tables_of
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
@@ -165,7 +166,7 @@ def test_chebyshev_distance():
 
 def test_visited_voxels_are_the_blocks_own():
     snerg = make_snerg(diffuse=True)
-    visited = np.zeros(len(tables_of(snerg).words), bool)
+    visited = np.zeros(len(tables_of(snerg).voxels), bool)
     origins, directions = small_cameras((0, 0, 0))[0].rays()
     march_rays(snerg, origins, directions, visited=visited)
     cells = visited.reshape(-1, 32, 32, 32)

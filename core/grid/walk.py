@@ -1,0 +1,265 @@
+"""Rays on their way through the grid, a batch at a time, in NumPy.
+
+A batch is what fits the caches. Its rays move on together, and as some end new ones take their places. What rays carry lies in one row
+a quantity: NumPy is fast on long plain arrays, and slow on rows of three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .box import CELL_VOXELS
+from .tables import BRICK, STRIDES, Tables
+
+CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+SLICE = 4096  # samples interpolated together; their 8 corners in floats fill a cache
+HAIR = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
+STILL = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Rays that begin at the grid, in voxels.
+
+    index: [N] which they are among all. moving: [8, N] float32: the point of entry, the direction (of unit length), t at which
+    the next sample is taken (k + 0.5, k whole), and t before which the last is.
+    """
+
+    index: np.ndarray
+    moving: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Of all rays, written as they end: values [N, C], of which the last is the sum of t times the opacity that was seen there, and
+    transmittance [N]; float32."""
+
+    values: np.ndarray
+    through: np.ndarray
+
+
+Residual = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""(colour [n, 3] over white, features [n, 4], number of the ray [n]) to what view dependence adds to the colour [n, 3]."""
+
+
+class Walk:
+    """One batch.
+
+    feed: gives the next rays, None when there are no more. into: what comes of them. stop: a ray ends when less light than this
+    passes. skip: whether it jumps over what is empty. visited: bool [M * 32^3] or None, set at voxels nearest to a sample that
+    something is near to. residual: view dependence at every sample, None where there is none or it follows a pixel.
+    """
+
+    def __init__(
+        self,
+        tables: Tables,
+        feed: Callable[[], Rays | None],
+        into: Gathered,
+        batch: int,
+        stop: float,
+        skip: bool = True,
+        visited: np.ndarray | None = None,
+        residual: Residual | None = None,
+    ) -> None:
+        self.tables, self.feed, self.into, self.batch = tables, feed, into, batch
+        self.stop, self.skip, self.visited, self.residual = np.float32(stop), skip, visited, residual
+        self.interpolate = Interpolate(tables)
+        self.waiting: Rays | None = Rays(np.zeros(0, np.int64), np.zeros((8, 0), np.float32))
+        self.begun = 0
+        self.index = np.zeros(0, np.int64)
+        self.moving = np.zeros((8, 0), np.float32)
+        self.light = np.zeros(0, np.float32)
+        self.values = np.zeros((0, tables.channels), np.float32)
+        self.alive = np.zeros(0, bool)
+
+    def run(self, cancelled: Callable[[], bool] = lambda: False) -> None:
+        """March all that `feed` gives; returns early when `cancelled` says so."""
+        self.pack()
+        while len(self.index) and not cancelled():
+            self.advance()
+            np.less(self.moving[6], self.moving[7], out=self.alive)
+            self.alive &= self.light > self.stop
+            if np.count_nonzero(self.alive) < 0.85 * len(self.alive):
+                self.pack()
+
+    def pack(self) -> None:
+        """Write down the rays that have ended, keep the others, and begin as many new ones as the batch has room for."""
+        ended = np.flatnonzero(~self.alive)
+        self.into.values[self.index[ended]] = self.values[ended]
+        self.into.through[self.index[ended]] = self.light[ended]
+        kept = np.flatnonzero(self.alive)
+        new = self.begin(self.batch - len(kept))
+        count = sum(len(rays.index) for rays in new)
+        self.index = np.concatenate([self.index[kept], *(rays.index for rays in new)])
+        self.moving = np.concatenate([self.moving.take(kept, axis=1), *(rays.moving for rays in new)], axis=1)
+        self.light = np.concatenate([self.light[kept], np.ones(count, np.float32)])
+        self.values = np.concatenate([self.values[kept], np.zeros((count, self.tables.channels), np.float32)])
+        self.alive = np.ones(len(self.index), bool)
+        self.prepare()
+
+    def begin(self, room: int) -> list[Rays]:
+        """Up to `room` rays that have not begun yet."""
+        taken = []
+        while self.waiting is not None and room > 0:
+            if self.begun == len(self.waiting.index):
+                self.waiting, self.begun = self.feed(), 0
+                continue
+            some = slice(self.begun, self.begun + room)
+            taken.append(Rays(self.waiting.index[some], self.waiting.moving[:, some]))
+            self.begun += len(taken[-1].index)
+            room -= len(taken[-1].index)
+        return taken
+
+    def prepare(self) -> None:
+        """What follows from the directions, and room for what `advance` computes."""
+        direction, count = self.moving[3:6], len(self.index)
+        inverse = 1 / np.where(np.abs(direction) < STILL, STILL, direction)
+        self.turns = np.float32(BRICK) * inverse  # t to cross a brick
+        self.span = np.abs(inverse)
+        self.pace = np.minimum(np.minimum(self.span[0], self.span[1]), self.span[2])  # t to move a voxel along the fastest axis
+        self.point, self.brick, self.within, self.exit = (np.empty((3, count), np.float32) for _ in range(4))
+        self.reach, self.ahead = np.empty(count, np.float32), np.empty(count, np.float32)
+        self.place = np.empty(count, np.float32 if np.prod(self.tables.bricks) < 2**24 else np.float64)
+        self.number = np.empty(count, np.int64)
+        self.distance = np.empty(count, np.uint8)
+
+    def advance(self) -> None:
+        """Take the sample that each ray stands at, and move it to the next that can matter."""
+        entry, direction, t = self.moving[:3], self.moving[3:6], self.moving[6]
+        np.multiply(direction, t, out=self.point)
+        self.point += entry
+        self.locate()
+        near = np.flatnonzero((self.distance == 0) & self.alive)
+        if self.skip:
+            self.leave()
+        else:
+            self.ahead.fill(1)
+        if len(near):
+            self.look(near)
+        t += self.ahead
+
+    def locate(self) -> None:
+        """In which brick each ray stands, where within it (-0.5 to 0.5), and how far the nearest is that holds something."""
+        _, y, z = self.tables.bricks
+        np.multiply(self.point, np.float32(1 / BRICK), out=self.within)
+        np.trunc(self.within, out=self.brick)
+        self.within -= self.brick
+        self.within -= np.float32(0.5)
+        np.multiply(self.brick[0], np.float32(y), out=self.place, dtype=self.place.dtype)
+        self.place += self.brick[1]
+        self.place *= np.float32(z)
+        self.place += self.brick[2]
+        np.copyto(self.number, self.place, casting="unsafe")
+        self.tables.brick_distance.take(self.number, out=self.distance, mode="clip")
+
+    def leave(self) -> None:
+        """t to the first sample outside the cube of empty bricks around each ray's (a hair early, never late)."""
+        np.multiply(self.distance, np.float32(BRICK), out=self.reach)
+        self.reach -= np.float32(BRICK / 2)
+        np.multiply(self.span, self.reach, out=self.exit)
+        self.within *= self.turns
+        self.exit -= self.within
+        ahead = self.ahead
+        np.minimum(self.exit[0], self.exit[1], out=ahead)
+        np.minimum(ahead, self.exit[2], out=ahead)
+        ahead -= HAIR
+        np.maximum(ahead, 0, out=ahead)
+        np.trunc(ahead, out=ahead)
+        ahead += 1
+
+    def look(self, near: np.ndarray) -> None:
+        """Rays [n] in bricks that hold something: jump within the brick, or take a sample."""
+        point = self.point.take(near, axis=1)
+        point += np.float32(0.5)
+        tent = np.trunc(point)
+        point -= tent
+        place = tent[0] * np.float32(STRIDES[0])
+        tent[1] *= np.float32(STRIDES[1])
+        place += tent[1]
+        place += tent[2]
+        first = self.tables.brick_base.take(self.number.take(near))
+        first += place.astype(np.int64)
+        distance = self.tables.voxel_skip.take(first)
+        if self.skip:
+            jump = np.maximum(distance, 1).astype(np.float32)
+            jump -= 1
+            jump *= self.pace.take(near)
+            self.ahead[near] = np.trunc(jump) + 1
+        hit = np.flatnonzero(distance == 0)
+        for start in range(0, len(hit), SLICE):
+            some = hit[start : start + SLICE]
+            self.sample(near.take(some), first.take(some), point.take(some, axis=1))
+
+    def sample(self, rows: np.ndarray, first: np.ndarray, fraction: np.ndarray) -> None:
+        """Samples of rays [n] in tents whose first voxel is `first` [n], at `fraction` [3, n] of them, composited front to back."""
+        if self.visited is not None:
+            self.visited[first + (fraction >= 0.5).T @ np.array(STRIDES)] = True
+        light = self.light.take(rows)
+        values = self.interpolate(first, fraction, light)
+        seen = values[:, -1]
+        if self.residual is not None:
+            self.shade(values, self.index.take(rows))
+        self.light[rows] = np.maximum(light - seen, 0)
+        seen *= self.moving[6].take(rows)
+        self.values[rows] += values
+
+
+    def shade(self, values: np.ndarray, index: np.ndarray) -> None:
+        """Add view dependence to samples [n, C] that are weighted by opacity and light."""
+        assert self.residual is not None
+        opaque = np.flatnonzero(values[:, -1] > 0)
+        seen = values[opaque]
+        straight = seen[:, :-1] / seen[:, -1:]
+        values[opaque, :3] += seen[:, -1:] * self.residual(straight[:, :3], straight[:, 3:], index[opaque])
+
+
+class Interpolate:
+    """Trilinear interpolation of voxels; its buffers are its own, so that a thread needs one of its own."""
+
+    def __init__(self, tables: Tables) -> None:
+        self.tables, self.whole = tables, tables.voxels.ndim == 1
+        channels = tables.channels
+        self.index = np.empty(SLICE, np.int64)
+        self.words = np.empty(8 * SLICE, tables.voxels.dtype)
+        self.values = np.empty(8 * SLICE * channels, np.float32)
+        self.spare = np.empty(4 * SLICE * channels, np.float32)
+        self.fractions = np.empty(SLICE * channels // 2, np.uint64)
+
+    def __call__(self, first: np.ndarray, fraction: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """[n, C] float32 times `light` [n]; a view that the next call overwrites. At most SLICE samples."""
+        count, channels = len(first), self.tables.channels
+        values = self.values[: 8 * count * channels].reshape(8, -1)
+        index = self.index[:count]
+        if self.whole:
+            words = self.words[: 8 * count].reshape(8, -1)
+            for corner, word in zip(CORNERS, words, strict=True):
+                np.add(first, corner, out=index)
+                self.tables.voxels.take(index, out=word, mode="clip")
+            np.copyto(values, words.view(np.uint8))
+        else:
+            for corner, value in zip(CORNERS, values.reshape(8, count, channels), strict=True):
+                np.add(first, corner, out=index)
+                self.tables.voxels.take(index, axis=0, out=value, mode="clip")
+        for axis, half in enumerate((4, 2, 1)):
+            self.blend(values[:half], values[half : 2 * half], self.spread(fraction[axis]))
+        values[0] *= self.spread(light * np.float32(1 / self.tables.unit))
+        return values[0].reshape(count, channels)
+
+    def blend(self, low: np.ndarray, high: np.ndarray, part: np.ndarray) -> None:
+        """low becomes low + part * (high - low)."""
+        between = self.spare[: low.size].reshape(low.shape)
+        np.subtract(high, low, out=between)
+        between *= part
+        low += between
+
+    def spread(self, value: np.ndarray) -> np.ndarray:
+        """[n] float32 to [n * C], each C times, which is quickest two at a time."""
+        both = value.view(np.uint32).astype(np.uint64)
+        both |= both << np.uint64(32)
+        pairs = self.fractions[: len(value) * self.tables.channels // 2].reshape(len(value), -1)
+        for i in range(pairs.shape[1]):
+            pairs[:, i] = both
+        return pairs.view(np.float32).reshape(-1)
