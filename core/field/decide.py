@@ -13,6 +13,7 @@ from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..grid.box import Box
 from .sampling import CELLS, Domain, carve, cell_centres, clip_rays, pack_samples
+from .settings import TrainSettings
 
 TRANSPARENT = 0.001  # share of pixels that are not opaque, from which alpha says something of the scene
 FACING = 35.0  # degrees between the cameras' mean axis and theirs, up to which a scene is forward-facing (LLFF: 20 and less)
@@ -21,7 +22,6 @@ DEEP = 2.0  # farthest / nearest, from which device coordinates spend samples be
 NEARER = 0.9  # of the nearest depth: where the near plane stands
 WIDEST = 3.0  # device coordinates are cut off there, in units of half a picture
 RANGE = 6.0  # farthest / nearest along a ray, from which distances in disparity serve better
-FILLED = 0.5  # share of the rays' way that may hold something, under which samples must look for it
 
 
 @dataclass(frozen=True)
@@ -192,13 +192,23 @@ def disparity(setting: str, domain: Domain, origins: np.ndarray, directions: np.
     return decided("Disparity", override, ratio >= RANGE, evidence, ratio, RANGE)
 
 
-def sampling(sampler: str, filled: float) -> Decision:
-    """Whether samples must look for where something is. filled: share of the rays' way through the domain that may hold something."""
-    if sampler == "packed":
+def sampling(
+    settings: TrainSettings, domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray
+) -> Decision:
+    """Whether a second network must look where the first one found something.
+
+    Packed samples stand at the final spacing from each other already, and nowhere that nothing is. Evenly spaced ones do without
+    where there are enough of them for the final spacing. origins, directions, near: rays in field coordinates.
+    """
+    if settings.sampler == "packed":
+        filled = share_filled(domain, alive, origins, directions, near)
         evidence = f"The first occupancy leaves {100 * filled:.0f} % of the rays' way; packed samples stand nowhere else, whatever it is."
-        return Decision("Hierarchical sampling", False, evidence, filled, FILLED)
-    evidence = f"The first occupancy leaves {100 * filled:.0f} % of the rays' way (worth it under {100 * FILLED:.0f} %)."
-    return Decision("Hierarchical sampling", True, evidence, filled, FILLED, filled >= FILLED)
+        return Decision("Hierarchical sampling", False, evidence, filled)
+    enter, leave = clip_rays(domain, origins, directions, near)
+    way = float(np.percentile(np.maximum(leave - enter, 0), 95))
+    needed = way / settings.spacing
+    evidence = f"Rays go up to {way:.2f} through the domain, {needed:.0f} times the final spacing; {settings.coarse} samples are even."
+    return decided("Hierarchical sampling", settings.hierarchy, needed > settings.coarse, evidence, needed, settings.coarse)
 
 
 def share_filled(domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray) -> float:

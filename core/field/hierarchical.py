@@ -42,7 +42,7 @@ class HierarchicalScheme:
         self.occupied = alive
         family = settings.family
         plain = replace(settings, density_noise=0.0)
-        self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[1].colour)
+        self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[-1].colour)
         self._density = jax.jit(lambda params, x: field_outputs(jnp, family, params, field_inputs(jnp, family, x))[0])
 
     def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
@@ -67,10 +67,11 @@ class HierarchicalScheme:
         if self.settings.background != "white":
             arrays["background"] = backgrounds(self.settings.background, count, self.rng)
         rays = int(used.sum())
-        return Batch(arrays, rays * (2 * self.settings.coarse + self.settings.fine), rays)
+        coarse, fine = self.settings.coarse, 0 if self.settings.hierarchy == "off" else self.settings.coarse + self.settings.fine
+        return Batch(arrays, rays * (coarse + fine), rays)
 
     def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
-        """What the fine network shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
+        """What the field shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
         arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
         count, some = len(rays.near), self.settings.rays_at_once
         arrays |= {"seed": np.arange(count, dtype=np.uint32), "background": rays.background}
@@ -155,16 +156,19 @@ class Seen(NamedTuple):
     sparsity: Any
 
 
-def render_rays(settings: TrainSettings, params: Any, batch: dict[str, Any]) -> tuple[Seen, Seen]:
+def render_rays(settings: TrainSettings, params: Any, batch: dict[str, Any]) -> tuple[Seen, ...]:
     """What the coarse and the fine network show along rays, the fine one at the coarse one's samples and at those drawn from
-    its weights (NeRF, section 5.2).
+    its weights (NeRF, section 5.2). Where there is no "coarse" network, what the one there is shows at evenly spaced samples.
 
     batch: "origins", "directions" [R, 3] and "near", "far" [R] in the field's coordinates, "looking" [R, 3] unit, world axes,
     "seed" [R] uint32, each ray's own random numbers, and "background" [R, 3] unless it is white.
     """
     random = partial(_uniform, batch["seed"])
     along = stratified(jnp, batch["near"], batch["far"], random(0, settings.coarse), settings.distances == "disparity")
-    coarse, weights, borders = _march(settings, params["coarse"], batch, along, np.arange(settings.coarse)[None, :], 1)
+    everywhere = np.arange(settings.coarse)[None, :]
+    if "coarse" not in params:
+        return (_march(settings, params, batch, along, everywhere, 1)[0],)
+    coarse, weights, borders = _march(settings, params["coarse"], batch, along, everywhere, 1)
     more = jax.lax.stop_gradient(resampled(borders, weights, spread(random(2, settings.fine))))
     both = jnp.concatenate([along, more], axis=-1)
     order = jnp.argsort(both, axis=-1)

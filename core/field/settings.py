@@ -24,6 +24,8 @@ class TrainSettings:
         'auto', as the images call for.
     sampler: 'packed', samples at equal distances where something may be (ours), or 'hierarchical', coarse and fine networks
         with samples drawn where the coarse one found something (NeRF, section 5.2).
+    hierarchy: of the hierarchical sampler, whether there is a fine network: 'on', 'off' (the evenly spaced samples alone, in one
+        network) or 'auto', as the way of the rays calls for.
 
     Packed: samples in one step, 32768 (ours: XLA's temporaries stay under 32 MB); spacing, the final distance between them on
         [-1, 1], 2 / 256 (ours: the voxels of a small bake); training starts with 8 times that.
@@ -52,6 +54,7 @@ class TrainSettings:
     transparency: str = "auto"
     backdrop: str = "auto"
     sampler: str = "packed"
+    hierarchy: str = "auto"
     samples: int = 32768
     spacing: float = 2 / 256
     rays: int = 8192
@@ -81,6 +84,7 @@ class TrainSettings:
         one_of("transparency", self.transparency, ("auto", "on", "off"))
         one_of("backdrop", self.backdrop, ("auto", "on", "off"))
         one_of("sampler", self.sampler, ("packed", "hierarchical"))
+        one_of("hierarchy", self.hierarchy, ("auto", "on", "off"))
         one_of("distances", self.distances, ("auto", "linear", "disparity"))
         if self.background not in ("white", "black", "random") and not re.fullmatch("#[0-9a-fA-F]{6}", self.background):
             raise SnergError(f"The setting background is {self.background!r}; give white, black, random or a colour such as #80ff00.")
@@ -109,8 +113,9 @@ class TrainSettings:
             raise SnergError(f"Training for {self.steps} steps is no training; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds is no training; give a time above 0, or steps.")
-        if self.opaque and self.sampler != "hierarchical":
-            raise SnergError("An opaque background is something that only the hierarchical sampler has; set sampler=hierarchical with it.")
+        for name, wanted in (("opaque", self.opaque), ("hierarchy", self.hierarchy == "on")):
+            if wanted and self.sampler != "hierarchical":
+                raise SnergError(f"The setting {name} is for the hierarchical sampler alone; set sampler=hierarchical with it.")
         _check_family(self.family)
 
 

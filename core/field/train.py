@@ -47,6 +47,8 @@ TELL_EVERY = 0.5  # seconds
 class Scheme(Protocol):
     """A way to sample rays: what a step's batch and loss are."""
 
+    settings: TrainSettings
+    """With what they leave open decided."""
     occupied: np.ndarray
 
     def batch(self, params: Any, fraction: float) -> Batch:
@@ -115,7 +117,7 @@ class Trainer:
         self.view = "diffuse" if self.undecided else settings.view_dependence
         self.aside = trial.set_aside(len(dataset.views)) if self.undecided else np.zeros(len(dataset.views), bool)
         self.pool.withheld = self.aside.copy()
-        self.params = init_params(settings.family, settings.view_dependence, settings.sampler == "hierarchical", self.rng)
+        self.params = init_params(settings.family, settings.view_dependence, self.scheme.settings.hierarchy == "on", self.rng)
         if self.undecided:
             self.params = trial.with_bias(self.params, trial.SILENT)
         self.params = self.devices.place(self.params)
@@ -179,14 +181,15 @@ class Trainer:
         """The scheme that the settings name, with what it leaves open decided."""
         origins, directions, near, *_ = self.pool.rays(self.pool.draw(1024, np.random.default_rng(self.settings.seed)))
         rays = origins, directions, near
-        self.decide(decide.sampling(self.settings.sampler, decide.share_filled(self.domain, alive, *rays)))
+        self.decide(decide.sampling(self.settings, self.domain, alive, *rays))
         if self.settings.sampler == "packed":
             return PackedScheme(self.settings, self.pool, self.domain, alive, self.rng)
         from .hierarchical import HierarchicalScheme
 
+        hierarchy = "on" if self.decisions[-1].chosen else "off"
         self.decide(decide.disparity(self.settings.distances, self.domain, *rays, self.ndc is not None))
         disparity = "disparity" if self.decisions[-1].chosen else "linear"
-        return HierarchicalScheme(replace(self.settings, distances=disparity), self.pool, self.domain, alive, self.rng)
+        return HierarchicalScheme(replace(self.settings, distances=disparity, hierarchy=hierarchy), self.pool, self.domain, alive, self.rng)
 
     def _held_out(self, data: Dataset) -> Rays:
         images = (data.read(i) for i in range(len(data.views)))

@@ -1,5 +1,6 @@
 """Decisions are measured: each says what it saw, the settings override it, and what cannot be is refused."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,9 +121,22 @@ def test_how_much_of_the_way_may_hold_something():
     rays = np.tile([-3.0, 0.1, 0.1], (10, 1)), np.tile([1.0, 0, 0], (10, 1)), np.zeros(10)
     share = decide.share_filled(domain, alive.reshape(-1), *rays)
     assert share == pytest.approx(0.25, abs=0.02)
-    assert decide.sampling("packed", share).chosen is False
-    assert decide.sampling("hierarchical", share).chosen and not decide.sampling("hierarchical", share).overridden
-    assert decide.sampling("hierarchical", 0.8).overridden
+    packed = decide.sampling(TrainSettings(), domain, alive.reshape(-1), *rays)
+    assert not packed.chosen and packed.measured == share and "25 %" in packed.evidence
+
+
+def test_evenly_spaced_samples_are_enough_where_rays_have_a_short_way():
+    """Rays go 2 through a cube and 0.2 through a slab, 256 and 26 times the final spacing."""
+    cube = Domain(np.zeros(3), 1.0, np.full(3, -1.0), np.full(3, 1.0))
+    slab = Domain(np.zeros(3), 1.0, np.array([-0.1, -1, -1]), np.array([0.1, 1, 1]))
+    rays = np.tile([-3.0, 0.1, 0.1], (10, 1)), np.tile([1.0, 0, 0], (10, 1)), np.zeros(10)
+    settings, alive = TrainSettings(sampler="hierarchical", coarse=64), np.ones(CELLS**3, bool)
+    for domain, needed in ((cube, 256), (slab, 25.6)):
+        decision = decide.sampling(settings, domain, alive, *rays)
+        assert decision.chosen is (needed > 64) and decision.measured == pytest.approx(needed) and not decision.overridden
+    assert decide.sampling(replace(settings, hierarchy="on"), slab, alive, *rays).chosen
+    forced = decide.sampling(replace(settings, hierarchy="off"), cube, alive, *rays)
+    assert forced.overridden and not forced.chosen
 
 
 def test_a_gain_must_exceed_its_doubt():

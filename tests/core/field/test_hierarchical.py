@@ -61,7 +61,7 @@ def scheme_of(pool: PixelPool, settings: TrainSettings) -> HierarchicalScheme:
 
 def learned(pool: PixelPool, settings: TrainSettings, steps: int) -> tuple[HierarchicalScheme, dict, list[float]]:
     scheme = scheme_of(pool, settings)
-    params = jax.tree.map(jnp.asarray, init_params(settings.family, settings.view_dependence, True, scheme.rng))
+    params = jax.tree.map(jnp.asarray, init_params(settings.family, settings.view_dependence, settings.hierarchy != "off", scheme.rng))
     moments, errors = zero_moments(params), []
     step = jax.jit(partial(train_step, settings, scheme.loss))
     for number in range(steps):
@@ -86,6 +86,18 @@ def test_options_train_too(pool):
     options = {"distances": "disparity", "background": "random", "density_noise": 0.5, "opaque": True, "rays_at_once": 32, "alpha": 0.1}
     _, _, errors = learned(pool, replace(SMALL, **options, clip_value=0.01, clip_norm=0.01), 20)
     assert errors[-1] < errors[0]
+
+
+def test_one_network_learns_alone(pool):
+    """It sees just what the coarse one of two would."""
+    settings = replace(SMALL, family=MlpFamily(width=32, depth=2, degrees=4), hierarchy="off", rate=5e-3, final_rate=5e-3)
+    scheme, params, errors = learned(pool, settings, 30)
+    assert np.mean(errors[-5:]) < 0.5 * np.mean(errors[:2]) and "coarse" not in params
+    batch = scheme.batch(params, 0.0)
+    assert batch.samples == batch.rays * settings.coarse
+    (alone,) = jax.jit(partial(render_rays, settings))(params, batch.arrays)
+    coarse, _ = jax.jit(partial(render_rays, settings))({**params, "coarse": params}, batch.arrays)
+    assert np.abs(alone.colour - coarse.colour).max() < 1e-6
 
 
 def test_a_ray_gets_the_same_samples_whatever_its_batch(pool):

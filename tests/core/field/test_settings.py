@@ -60,6 +60,7 @@ def test_every_name_that_is_offered_is_taken(preset):
         ({"rays": "-1"}, "rays is -1"),
         ({"opaque": "maybe"}, "must be yes or no"),
         ({"opaque": "yes"}, "sampler=hierarchical"),
+        ({"hierarchy": "on"}, "sampler=hierarchical"),
         ({"view_dependence": "some"}, "one of auto, deferred"),
         ({"background": "#12345"}, "white, black, random"),
         ({"distances": "log"}, "linear, disparity"),

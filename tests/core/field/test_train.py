@@ -217,6 +217,13 @@ def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_doe
     assert steps == sorted(set(steps)) and steps[-1] == 60
 
 
+@pytest.mark.parametrize(("coarse", "networks"), [(8, 2), (200, 1)])
+def test_the_fine_network_is_there_where_it_is_needed(views, coarse, networks):
+    """The ball's rays go up to 2 through the domain: 128 samples at this spacing."""
+    trainer = Trainer(views, replace(SETTINGS, sampler="hierarchical", coarse=coarse, spacing=2 / 128))
+    assert trainer.decisions[-2].chosen is (networks == 2) and ("coarse" in trainer.params) is (networks == 2)
+
+
 def test_it_logs_as_it_goes(trained):
     lines = read_log(trained[1])
     assert {"step", "seconds", "fraction", "loss", "psnr", "rate", "samples", "rays"} <= set(lines[0])
