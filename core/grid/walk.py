@@ -6,6 +6,7 @@ a quantity: NumPy is fast on long plain arrays, and slow on rows of three.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -15,7 +16,8 @@ from .box import CELL_VOXELS
 from .tables import BRICK, STRIDES, Tables
 
 CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-SLICE = 4096  # samples interpolated together; their 8 corners in floats fill a cache
+AHEAD = 4  # samples of a ray that are taken together
+SLICE = 8192  # samples interpolated together; their 8 corners in floats fill a cache
 HAIR = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
 STILL = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
 
@@ -67,6 +69,7 @@ class Walk:
         self.tables, self.feed, self.into, self.batch = tables, feed, into, batch
         self.stop, self.skip, self.visited, self.residual = np.float32(stop), skip, visited, residual
         self.interpolate = Interpolate(tables)
+        self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
         self.waiting: Rays | None = Rays(np.zeros(0, np.int64), np.zeros((8, 0), np.float32))
         self.begun = 0
         self.index = np.zeros(0, np.int64)
@@ -122,8 +125,6 @@ class Walk:
         self.pace = np.minimum(np.minimum(self.span[0], self.span[1]), self.span[2])  # t to move a voxel along the fastest axis
         self.point, self.brick, self.within, self.exit = (np.empty((3, count), np.float32) for _ in range(4))
         self.reach, self.ahead = np.empty(count, np.float32), np.empty(count, np.float32)
-        self.place = np.empty(count, np.float32 if np.prod(self.tables.bricks) < 2**24 else np.float64)
-        self.number = np.empty(count, np.int64)
         self.distance = np.empty(count, np.uint8)
 
     def advance(self) -> None:
@@ -143,17 +144,26 @@ class Walk:
 
     def locate(self) -> None:
         """In which brick each ray stands, where within it (-0.5 to 0.5), and how far the nearest is that holds something."""
-        _, y, z = self.tables.bricks
         np.multiply(self.point, np.float32(1 / BRICK), out=self.within)
         np.trunc(self.within, out=self.brick)
         self.within -= self.brick
         self.within -= np.float32(0.5)
-        np.multiply(self.brick[0], np.float32(y), out=self.place, dtype=self.place.dtype)
-        self.place += self.brick[1]
-        self.place *= np.float32(z)
-        self.place += self.brick[2]
-        np.copyto(self.number, self.place, casting="unsafe")
+        self.number = self.numbered(self.brick)
         self.tables.brick_distance.take(self.number, out=self.distance, mode="clip")
+
+    def numbers(self, point: np.ndarray) -> np.ndarray:
+        """The bricks [n] that points [3, n] are in."""
+        brick = point * np.float32(1 / BRICK)
+        return self.numbered(np.trunc(brick, out=brick))
+
+    def numbered(self, brick: np.ndarray) -> np.ndarray:
+        """Numbers of bricks [n] from where they are [3, n]; computed in floats, of which the larger ones are for grids of 2^24 bricks."""
+        _, y, z = self.tables.bricks
+        place = np.multiply(brick[0], self.exact(y), dtype=self.exact)
+        place += brick[1]
+        place *= self.exact(z)
+        place += brick[2]
+        return place.astype(np.int64)
 
     def leave(self) -> None:
         """t to the first sample outside the cube of empty bricks around each ray's (a hair early, never late)."""
@@ -171,44 +181,73 @@ class Walk:
         ahead += 1
 
     def look(self, near: np.ndarray) -> None:
-        """Rays [n] in bricks that hold something: jump within the brick, or take a sample."""
-        point = self.point.take(near, axis=1)
-        point += np.float32(0.5)
-        tent = np.trunc(point)
-        point -= tent
-        place = tent[0] * np.float32(STRIDES[0])
-        tent[1] *= np.float32(STRIDES[1])
-        place += tent[1]
-        place += tent[2]
-        first = self.tables.brick_base.take(self.number.take(near))
-        first += place.astype(np.int64)
+        """Rays [n] in bricks that hold something: jump within the brick, or take samples."""
+        first, _ = self.tents(self.point.take(near, axis=1), self.number.take(near))
         distance = self.tables.voxel_skip.take(first)
         if self.skip:
             jump = np.maximum(distance, 1).astype(np.float32)
             jump -= 1
             jump *= self.pace.take(near)
             self.ahead[near] = np.trunc(jump) + 1
-        hit = np.flatnonzero(distance == 0)
-        for start in range(0, len(hit), SLICE):
-            some = hit[start : start + SLICE]
-            self.sample(near.take(some), first.take(some), point.take(some, axis=1))
+        hit = near[distance == 0]
+        for start in range(0, len(hit), SLICE // AHEAD):
+            self.sample(hit[start : start + SLICE // AHEAD])
 
-    def sample(self, rows: np.ndarray, first: np.ndarray, fraction: np.ndarray) -> None:
-        """Samples of rays [n] in tents whose first voxel is `first` [n], at `fraction` [3, n] of them, composited front to back."""
-        if self.visited is not None:
-            self.visited[first + (fraction >= 0.5).T @ np.array(STRIDES)] = True
-        light = self.light.take(rows)
-        values = self.interpolate(first, fraction, light)
-        seen = values[:, -1]
+    def tents(self, point: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First voxel [n] of the tents that points [3, n] in bricks [n] are in, and where in them [3, n], which overwrites the points."""
+        point += np.float32(0.5)
+        tent = np.trunc(point)
+        point -= tent
+        tent[0] *= np.float32(STRIDES[0])
+        tent[1] *= np.float32(STRIDES[1])
+        tent[0] += tent[1]
+        tent[0] += tent[2]
+        first = self.tables.brick_base.take(number, mode="clip")
+        first += tent[0].astype(np.int64)
+        return first, point
+
+    def sample(self, rows: np.ndarray) -> None:
+        """Composite the next AHEAD samples of rays [n] that stand where something is, front to back.
+
+        Rays that meet something mostly go on doing so; taking several samples at once shares what is spent on each.
+        """
+        count = len(rows)
+        moving = self.moving.take(rows, axis=1)
+        t = (moving[6] + np.arange(AHEAD, dtype=np.float32)[:, None]).reshape(-1)
+        point = (moving[3:6, None] * t.reshape(AHEAD, count) + moving[:3, None]).reshape(3, -1)
+        number = self.numbers(point)
+        used = self.tables.brick_distance.take(number, mode="clip") == 0
+        used &= t < np.tile(moving[7], AHEAD)
+        first, fraction = self.tents(point, number)
+        values = self.interpolate(first, fraction)
         if self.residual is not None:
-            self.shade(values, self.index.take(rows))
-        self.light[rows] = np.maximum(light - seen, 0)
-        seen *= self.moving[6].take(rows)
-        self.values[rows] += values
+            self.shade(values, np.tile(self.index.take(rows), AHEAD))
+        light = self.light.take(rows)
+        weight = (used * np.float32(1 / self.tables.unit)).reshape(AHEAD, count)
+        alpha = values[:, -1].reshape(AHEAD, count) * weight
+        for step in range(AHEAD):
+            weight[step] *= light
+            if self.visited is not None:
+                self.visit(first, fraction, used, step, light)
+            light -= light * alpha[step]
+        self.light[rows] = np.maximum(light, 0)
+        values[:, -1] *= t
+        gathered = self.values.take(rows, axis=0)
+        gathered += np.einsum("kn,knc->nc", weight, values.reshape(AHEAD, count, -1))
+        whole = np.dtype((np.void, gathered.itemsize * gathered.shape[1]))  # rows are set quickest where one is one value
+        self.values.view(whole)[rows] = gathered.view(whole)
+        self.ahead[rows] = AHEAD
 
+    def visit(self, first: np.ndarray, fraction: np.ndarray, used: np.ndarray, step: int, light: np.ndarray) -> None:
+        """Mark the voxels nearest to the samples [n] of one step that light still reached, where something is near."""
+        assert self.visited is not None
+        part = slice(step * len(light), (step + 1) * len(light))
+        some = part.start + np.flatnonzero(used[part] & (light > self.stop))
+        some = some[self.tables.voxel_skip[first[some]] == 0]
+        self.visited[first[some] + np.array(STRIDES) @ (fraction[:, some] >= 0.5)] = True
 
     def shade(self, values: np.ndarray, index: np.ndarray) -> None:
-        """Add view dependence to samples [n, C] that are weighted by opacity and light."""
+        """Add view dependence to samples [n, C] of rays [n]."""
         assert self.residual is not None
         opaque = np.flatnonzero(values[:, -1] > 0)
         seen = values[opaque]
@@ -222,30 +261,26 @@ class Interpolate:
     def __init__(self, tables: Tables) -> None:
         self.tables, self.whole = tables, tables.voxels.ndim == 1
         channels = tables.channels
-        self.index = np.empty(SLICE, np.int64)
+        self.corners = [tables.voxels[corner:] for corner in CORNERS]
         self.words = np.empty(8 * SLICE, tables.voxels.dtype)
         self.values = np.empty(8 * SLICE * channels, np.float32)
         self.spare = np.empty(4 * SLICE * channels, np.float32)
         self.fractions = np.empty(SLICE * channels // 2, np.uint64)
 
-    def __call__(self, first: np.ndarray, fraction: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """[n, C] float32 times `light` [n]; a view that the next call overwrites. At most SLICE samples."""
+    def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+        """[n, C] float32, in units of the table; a view that the next call overwrites. At most SLICE samples."""
         count, channels = len(first), self.tables.channels
         values = self.values[: 8 * count * channels].reshape(8, -1)
-        index = self.index[:count]
         if self.whole:
             words = self.words[: 8 * count].reshape(8, -1)
-            for corner, word in zip(CORNERS, words, strict=True):
-                np.add(first, corner, out=index)
-                self.tables.voxels.take(index, out=word, mode="clip")
+            for corner, word in zip(self.corners, words, strict=True):
+                corner.take(first, out=word, mode="clip")
             np.copyto(values, words.view(np.uint8))
         else:
-            for corner, value in zip(CORNERS, values.reshape(8, count, channels), strict=True):
-                np.add(first, corner, out=index)
-                self.tables.voxels.take(index, axis=0, out=value, mode="clip")
+            for corner, value in zip(self.corners, values.reshape(8, count, channels), strict=True):
+                corner.take(first, axis=0, out=value, mode="clip")
         for axis, half in enumerate((4, 2, 1)):
             self.blend(values[:half], values[half : 2 * half], self.spread(fraction[axis]))
-        values[0] *= self.spread(light * np.float32(1 / self.tables.unit))
         return values[0].reshape(count, channels)
 
     def blend(self, low: np.ndarray, high: np.ndarray, part: np.ndarray) -> None:
