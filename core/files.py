@@ -10,7 +10,7 @@ import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from .errors import SnergError
 
@@ -18,7 +18,14 @@ MAX_JSON_BYTES = 2**28
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write beside, flush to the disk, then swap: the old file or the new one, never half of it.
+    """`data` as a file, whole or not at all. Raises SnergError as `new_file` does."""
+    with new_file(path) as file:
+        file.write(data)
+
+
+@contextlib.contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """A file to write beside `path`, flushed to the disk and then swapped with it: the old file or the new one, never half of it.
 
     Raises SnergError when the folder cannot be written or the disk is full.
     """
@@ -26,14 +33,15 @@ def write_bytes(path: Path, data: bytes) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "wb") as file:
-            file.write(data)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        raise cannot_write(path, error) from error
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:

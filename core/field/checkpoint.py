@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import zipfile
 from dataclasses import asdict
@@ -14,7 +13,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.ndc import Ndc
 from ..errors import SnergError
-from ..files import MARK, json_bytes, write_bytes
+from ..files import MARK, json_bytes, new_file, write_bytes
 from .encoding import HashGrid
 from .field import Field
 from .networks import Family, HashFamily, MlpFamily, ViewNetwork
@@ -52,10 +51,9 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
     }
     arrays["json"] = np.frombuffer(json_bytes(about), np.uint8)
     arrays |= {f"state.{k}": v for k, v in (state or {}).items()}
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)  # type: ignore[arg-type]
     write_bytes(folder / MARK, b"Written by SNeRG for Blender.\n")
-    write_bytes(folder / FILE, buffer.getvalue())
+    with new_file(folder / FILE) as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def is_field(path: Path) -> bool:

@@ -1,5 +1,6 @@
 """Fields on disk."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,16 @@ def test_the_world_is_the_space_otherwise(field, tmp_path):
     write_field(field, tmp_path)
     back = read_field(tmp_path)
     assert back.ndc is None and back.view == "deferred" and back.cameras == ()
+
+
+def test_saving_needs_no_memory_for_the_file(field, tmp_path):
+    state = {"moments": np.ones(2**24, np.float32)}  # 67 MB
+    tracemalloc.start()
+    write_field(field, tmp_path, state)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 2**25 and (tmp_path / "field.npz").stat().st_size > 2**26
+    assert {path.name for path in tmp_path.iterdir()} == {".snerg", "field.npz"}
 
 
 def test_another_version_is_told_apart(field, tmp_path):
