@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import glob
 import json
 import os
 import shutil
+import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +19,8 @@ from typing import Any, BinaryIO
 from .errors import SnergError
 
 MAX_JSON_BYTES = 2**28
+ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
+AT_FDCWD, EXCHANGE = -100, 2  # of renameat2 (Linux) and renamex_np (macOS)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -51,35 +57,91 @@ def cannot_write(path: Path, error: OSError) -> SnergError:
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill that takes the place of `path` at the end, whole, or not at all.
+    """A folder to fill that takes the place of `path` at the end, whole, or not at all (hard case 60).
 
-    Raises SnergError when the parent cannot be written, or when `path` is a file, or a folder that holds
-    something other than what an earlier export left (so that `--out ~` deletes nothing).
+    It is flushed to the disk and swapped with what is there in one step, so that whoever reads `path`, and whoever finds it
+    after a kill or a power cut, has the old folder or the new one. Where the system has no such step (Windows) there is an
+    instant without either; a folder lost in it is put back by the next export there.
+    Raises SnergError when the parent cannot be written, when the disk is full, or when `path` is a file, or a folder that
+    holds something other than what an earlier export left (so that `--out ~` deletes nothing).
     """
-    path = Path(os.path.abspath(path))
+    path = Path(os.path.realpath(path))  # through a link, so that it stays one
     check_replaceable(path)
+    _tidy(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
-    old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old")
     try:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary.mkdir()
-        except OSError as error:
-            raise cannot_write(path, error) from error
-        try:
             yield temporary
             (temporary / MARK).write_text("Written by SNeRG for Blender; replaced whole by the next export here.\n")
-            if path.exists():
-                os.replace(path, old)
-            os.replace(temporary, path)
+            _flush(temporary)
+            _swap(temporary, path)
         except OSError as error:
-            if old.exists() and not path.exists():
-                os.replace(old, path)
             raise cannot_write(path, error) from error
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if path.exists():
-            shutil.rmtree(old, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)  # half a folder, or the one that was there before
+
+
+def _flush(folder: Path) -> None:
+    """All that a folder holds to the disk."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            with open(path, "r+b") as file:
+                os.fsync(file.fileno())
+    if os.name == "posix":  # elsewhere folders cannot be opened
+        for path in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
+            _flush_entries(path)
+
+
+def _flush_entries(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _swap(new: Path, path: Path) -> None:
+    """Folder `new` to `path`; what was there goes to where `new` was."""
+    if not path.exists():
+        os.replace(new, path)
+    elif not _exchange(new, path):
+        old = new.with_suffix(".old")
+        os.replace(path, old)
+        try:
+            os.replace(new, path)
+        except OSError:
+            os.replace(old, path)
+            raise
+        os.replace(old, new)
+    if os.name == "posix":
+        _flush_entries(path.parent)
+
+
+def _exchange(a: Path, b: Path) -> bool:
+    """Swap two folders in one step; False where the system or the disk's format cannot."""
+    names = os.fsencode(a), os.fsencode(b)
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # a C library without the call, or none to ask
+        library = ctypes.CDLL(None)
+        if sys.platform == "linux":
+            return bool(library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], EXCHANGE) == 0)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*names, EXCHANGE) == 0)
+    return False
+
+
+def _tidy(path: Path) -> None:
+    """Put back what a kill between two renames left aside, and delete what kills left half-written."""
+    left = list(path.parent.glob(f".{glob.escape(path.name)}.????????.*")) if path.parent.is_dir() else []
+    aside = [folder for folder in left if folder.suffix == ".old"]
+    if aside and not path.exists():
+        with contextlib.suppress(OSError):
+            os.replace(aside.pop(), path)
+    for folder in left:
+        with contextlib.suppress(OSError):
+            if folder.suffix in (".part", ".old") and time.time() - folder.stat().st_mtime > ABANDONED:
+                shutil.rmtree(folder)
 
 
 MARK = ".snerg"

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..capture.camera import Camera
 from ..errors import SnergError
-from ..files import cannot_write, json_bytes, new_folder
+from ..files import json_bytes, new_folder
 from ..grid.snerg import Snerg
 from .scene import write_scene_files
 
@@ -79,18 +79,15 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
 def write_single_file(snerg: Snerg, cameras: Sequence[Camera], folder: Path, page: str, script: str, progress: Progress) -> None:
     """index.html with the script and, as base64, every file in it, written piece by piece."""
     before, between, after = split_page(page)
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
-            data = Path(name)
-            write_data(snerg, cameras, data, progress)
-            with open(folder / "index.html", "w", encoding="utf-8", newline="\n") as file:
-                file.write(before)
-                for tag in embedded(data):
-                    file.write(tag)
-                # In JavaScript "</script" only occurs in strings and comments; here it would end the script.
-                file.write(between + "<script>" + script.replace("</script", "<\\/script") + "</script>" + after)
-    except OSError as error:
-        raise cannot_write(folder, error) from error
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
+        data = Path(name)
+        write_data(snerg, cameras, data, progress)
+        with open(folder / "index.html", "w", encoding="utf-8", newline="\n") as file:
+            file.write(before)
+            for tag in embedded(data):
+                file.write(tag)
+            # In JavaScript "</script" only occurs in strings and comments; here it would end the script.
+            file.write(between + "<script>" + script.replace("</script", "<\\/script") + "</script>" + after)
 
 
 def split_page(page: str) -> tuple[str, str, str]:
