@@ -1,52 +1,46 @@
-"""Macroblocks: from blocks of 30^3 voxels of their own to atlas cells of 32^3 with an apron, and what needs neighbours."""
+"""Macroblocks: 30^3 voxels of their own, and what needs their neighbours.
+
+A mask of voxels takes a word a row: uint32 [M, 30, 30], voxel z in bit z + 1, which leaves bits 0 and 31 for the apron. So masks
+of a whole grid stay small, and growing one is a few shifts.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
 
 from .box import CELL_VOXELS, DATA_VOXELS
 
-OFFSETS = tuple(product((-1, 0, 1), repeat=3))
+OFFSETS = tuple(offset for offset in product((-1, 0, 1), repeat=3) if any(offset))
+OWN = np.uint32(0x7FFFFFFE)
+FIRST, LAST = np.uint32(1 << 1), np.uint32(1 << DATA_VOXELS)
+SLAB = 64  # blocks worked on together where a loop goes over all
+_ones = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
 
 
-def with_apron(own: np.ndarray, indirection: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
-    """[M, 30, 30, 30, ...] to cells [R, 32, 32, 32, ...], the apron copied from neighbours, 0 where there is none.
-
-    indirection: int32 [bx, by, bz], number of a block in `own` or -1. rows: the blocks wanted, all when None.
-    """
-    rows = np.arange(len(own)) if rows is None else rows
-    cells = np.zeros((len(rows), *(CELL_VOXELS,) * 3, *own.shape[4:]), own.dtype)
-    place = np.argwhere(indirection >= 0)[np.argsort(indirection[indirection >= 0])][rows]
-    padded = np.pad(indirection, 1, constant_values=-1)
-    for offset in OFFSETS:
-        neighbour = padded[tuple((place + 1 + np.array(offset)).T)]
-        there = np.flatnonzero(neighbour >= 0)
-        to = tuple(_target(o) for o in offset)
-        source = tuple(_source(o) for o in offset)
-        cells[(there, *to)] = own[(neighbour[there], *source)]
-    return cells
+def pack(own: np.ndarray) -> np.ndarray:
+    """bool [M, 30, 30, 30] to uint32 [M, 30, 30]."""
+    wide = np.pad(own, ((0, 0), (0, 0), (0, 0), (1, 1)))
+    return np.packbits(wide, axis=-1, bitorder="little").view("<u4")[..., 0].astype(np.uint32)
 
 
-def _target(offset: int) -> slice:
-    return (slice(0, 1), slice(1, CELL_VOXELS - 1), slice(CELL_VOXELS - 1, CELL_VOXELS))[offset + 1]
+def unpack(bits: np.ndarray) -> np.ndarray:
+    """uint32 [M, 30, 30] to bool [M, 30, 30, 30]."""
+    bytes_ = np.ascontiguousarray(bits).astype("<u4")[..., None].view(np.uint8)
+    return np.unpackbits(bytes_, axis=-1, bitorder="little")[..., 1:-1].astype(bool)
 
 
-def _source(offset: int) -> slice:
-    return (slice(DATA_VOXELS - 1, DATA_VOXELS), slice(0, DATA_VOXELS), slice(0, 1))[offset + 1]
+def counts(bits: np.ndarray) -> np.ndarray:
+    """Voxels set in each block of a mask [M, 30, 30], int64 [M]."""
+    return _ones[np.ascontiguousarray(bits).view(np.uint8)].sum(axis=(1, 2), dtype=np.int64)
 
 
-def dilate(own: np.ndarray, indirection: np.ndarray, times: int) -> np.ndarray:
-    """bool [M, 30, 30, 30] grown by `times` voxels in the maximum norm, across block borders."""
-    for _ in range(times):
-        wide = with_apron(own, indirection)
-        for axis in (1, 2, 3):
-            ahead, back, here = ([slice(None)] * 4 for _ in range(3))
-            ahead[axis], back[axis], here[axis] = slice(2, None), slice(None, -2), slice(1, -1)
-            wide = wide[tuple(here)] | wide[tuple(ahead)] | wide[tuple(back)]
-        own = wide
-    return own
+def places_of(indirection: np.ndarray) -> np.ndarray:
+    """Place [M, 3] of each block by its number; indirection: int32 [bx, by, bz], -1 where there is none."""
+    place = np.argwhere(indirection >= 0)
+    return place[np.argsort(indirection[indirection >= 0])]
 
 
 def number(mask: np.ndarray) -> np.ndarray:
@@ -56,22 +50,70 @@ def number(mask: np.ndarray) -> np.ndarray:
     return indirection
 
 
-def cells_of(own: np.ndarray, indirection: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Blocks uint8 [M, 30, 30, 30, C] to (atlas cells, their indirection grid).
+def renumbered(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+    """Rows [M, ...] of one indirection grid as those of another, 0 for blocks that the old one lacks."""
+    moved = np.zeros((int(new.max(initial=-1)) + 1, *values.shape[1:]), values.dtype)
+    both = (new >= 0) & (old >= 0)
+    moved[new[both]] = values[old[both]]
+    return moved
 
-    A cell is kept when anything in its 32^3 is not 0, so that half a tent in a neighbour without voxels of its own
-    is not lost (hard case 34); one with nothing is dropped.
+
+def grow(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
+    """A mask [M, 30, 30] grown by a voxel in the maximum norm, across block borders."""
+    wide = np.zeros((len(bits), CELL_VOXELS, CELL_VOXELS), np.uint32)
+    wide[:, 1:-1, 1:-1] = bits
+    for here, there, (x, y, z) in _neighbours(indirection, np.arange(len(bits))):
+        columns, lines = _face((x, y))
+        row = bits[there, columns, lines]
+        row = (row >> np.uint32(DATA_VOXELS) & np.uint32(1), row, (row & FIRST) << np.uint32(DATA_VOXELS))[z + 1]
+        columns, lines = _apron((x, y))
+        wide[here, columns, lines] |= row
+    wide |= wide << np.uint32(1) | wide >> np.uint32(1)
+    wide = wide[:, 1:-1] | wide[:, 2:] | wide[:, :-2]
+    return (wide[:, :, 1:-1] | wide[:, :, 2:] | wide[:, :, :-2]) & OWN
+
+
+def reach(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
+    """bool [bx, by, bz]: blocks in whose 32^3 a voxel of a mask [M, 30, 30] lies, their own or a neighbour's.
+
+    Half a tent lies in a neighbour that may have no voxels of its own (hard case 34).
     """
-    full = own.reshape(len(own), *(DATA_VOXELS,) * 3, own.shape[-1]).any(axis=-1)
-    needed = np.zeros(tuple(n + 2 for n in indirection.shape), bool)
-    place = np.argwhere(indirection >= 0)
-    for offset in OFFSETS:
-        # A voxel on this block's side towards `offset` is in the apron of the block there.
-        side = tuple(_source(-o) for o in offset)
-        touches = full[(indirection[tuple(place.T)], *side)].any(axis=(1, 2, 3))
-        needed[tuple((place[touches] + 1 + np.array(offset)).T)] = True
-    kept = number(needed[1:-1, 1:-1, 1:-1])
-    grown = np.zeros((int(kept.max(initial=-1)) + 1, *own.shape[1:]), own.dtype)
-    both = (kept >= 0) & (indirection >= 0)
-    grown[kept[both]] = own[indirection[both]]
-    return with_apron(grown, kept), kept
+    place = places_of(indirection)
+    reached = np.zeros(tuple(n + 2 for n in indirection.shape), bool)
+    for offset in ((0, 0, 0), *OFFSETS):
+        x, y, z = (-o for o in offset)  # a voxel on this block's side towards `offset` is in the apron of the block there
+        columns, lines = _face((x, y))
+        row = bits[:, columns, lines] & (LAST, OWN, FIRST)[z + 1]
+        reached[tuple((place[row.any(axis=(1, 2))] + 1 + np.array(offset)).T)] = True
+    return reached[1:-1, 1:-1, 1:-1]
+
+
+def fill_aprons(cells: np.ndarray, indirection: np.ndarray) -> Iterator[int]:
+    """Copy into the aprons of cells [M, 32, 32, 32, ...] their neighbours' voxels, in place; yields how many cells are done."""
+    for start in range(0, len(cells), SLAB):
+        rows = np.arange(start, min(start + SLAB, len(cells)))
+        for here, there, offset in _neighbours(indirection, rows):
+            to, source = _apron(offset), _face(offset, 1)
+            cells[rows[here], to[0], to[1], to[2]] = cells[there, source[0], source[1], source[2]]
+        yield int(rows[-1]) + 1
+
+
+def _neighbours(indirection: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, tuple[int, int, int]]]:
+    """For each offset (x, y, z): which of the blocks `rows` have a neighbour there, its number, and the offset."""
+    place = places_of(indirection)[rows]
+    padded = np.pad(indirection, 1, constant_values=-1)
+    for x, y, z in OFFSETS:
+        neighbour = padded[place[:, 0] + 1 + x, place[:, 1] + 1 + y, place[:, 2] + 1 + z]
+        here = np.flatnonzero(neighbour >= 0)
+        yield here, neighbour[here], (x, y, z)
+
+
+def _apron(offset: tuple[int, ...]) -> tuple[slice, ...]:
+    """Where in a cell the voxels of the neighbour at an offset go."""
+    return tuple((slice(0, 1), slice(1, CELL_VOXELS - 1), slice(CELL_VOXELS - 1, CELL_VOXELS))[o + 1] for o in offset)
+
+
+def _face(offset: tuple[int, ...], first: int = 0) -> tuple[slice, ...]:
+    """Which of its own voxels the neighbour at an offset gives; first: index of its first one."""
+    faces = ((DATA_VOXELS - 1, DATA_VOXELS), (0, DATA_VOXELS), (0, 1))
+    return tuple(slice(faces[o + 1][0] + first, faces[o + 1][1] + first) for o in offset)

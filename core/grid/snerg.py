@@ -26,8 +26,8 @@ class Snerg:
         outer corner of voxel (0, 0, 0). Voxel i has its centre at (i + 0.5) * voxel_size.
     voxel_size: world units. shape: voxels (x, y, z).
     indirection: int32 [bx, by, bz], b = ceil(shape / 30): a cell's number, or -1 where the block is empty.
-    cells: uint8 [M, 32, 32, 32, C], x, y, z with z fastest: 30 voxels of the block's own and an apron of one
-        voxel of its neighbours on each side. C = 8: RGB, 4 features, alpha, all premultiplied by alpha;
+    cells: uint8, or float32 in [0, 1] where it is not quantised, [M, 32, 32, 32, C], x, y, z with z fastest: 30 voxels of the
+        block's own and an apron of one voxel of its neighbours on each side. C = 8: RGB, 4 features, alpha, all premultiplied by alpha;
         C = 4 in a diffuse scene: RGB, alpha. Alpha is the opacity of a step of one voxel.
     network: the view-dependence network, or None in a diffuse scene.
     view_rotation: [3, 3] from world directions to the axes in which the network was trained.
@@ -55,7 +55,7 @@ class Snerg:
         if self.indirection.shape != blocks_of(self.shape):
             raise SnergError(f"The scene's indirection grid is {self.indirection.shape}, not {blocks_of(self.shape)}; bake it again.")
         channels = 4 if self.network is None else 8
-        if self.cells.shape[1:] != (CELL_VOXELS,) * 3 + (channels,) or self.cells.dtype != np.uint8:
+        if self.cells.shape[1:] != (CELL_VOXELS,) * 3 + (channels,) or self.cells.dtype not in (np.uint8, np.float32):
             raise SnergError(f"The scene's atlas cells are {self.cells.shape} {self.cells.dtype}; bake it again.")
         if self.indirection.size and not -1 <= self.indirection.min() <= self.indirection.max() < max(len(self.cells), 1):
             raise SnergError("The scene's indirection grid points outside its atlas; bake it again.")

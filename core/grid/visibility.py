@@ -1,34 +1,89 @@
-"""Which voxels a camera ever sees (section 5.3): the skipping marcher, stopped where little light is left."""
+"""Which voxels a camera ever sees (section 5.3): the skipping marcher, stopped where little light is left.
+
+It marches voxels of two on a side: an eighth of the work and of the memory, and still finer than the two voxels by which what
+is seen is widened. A coarse voxel stops as much light as its eight do on average, so that what lies behind a thin sheet is rather
+seen than not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 
 import numpy as np
 
 from ..capture.camera import Camera
-from .box import DATA_VOXELS
-from .march import MarchSettings, march_rays, tables_of
+from ..capture.ndc import Ndc
+from .blocks import SLAB, fill_aprons, grow, number, pack, places_of, unpack
+from .box import CELL_VOXELS, DATA_VOXELS
+from .kept import Kept
+from .lattice import Lattice
+from .march import MarchSettings, march_rays, tiled
+from .occupancy import Matter
 from .snerg import Snerg
 
 Progress = Callable[[float, str], None]
+HALF = DATA_VOXELS // 2
 
 
 def visible_voxels(
-    opaque: Snerg, cameras: Sequence[Camera], threshold: float, progress: Progress = lambda fraction, what: None
+    matter: Matter, lattice: Lattice, ndc: Ndc | None, cameras: Sequence[Camera], threshold: float, kept: Kept, progress: Progress
 ) -> np.ndarray:
-    """bool [M, 30, 30, 30] of a scene of alpha alone: voxels that a ray of some camera reaches with transmittance >= threshold.
-
-    A camera's picture is marched at about two voxels a pixel, no finer than its own; dilate what comes back by two.
-    """
-    visited = np.zeros(len(tables_of(opaque).words), bool)
+    """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them."""
+    scene = opacity_scene(matter, lattice.halved(), ndc)
+    visited, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), 0
+    for done, arrays in kept.read("visibility"):
+        if done > first:
+            first, visited = done, np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
     settings = MarchSettings(stop_transmittance=threshold)
-    for done, camera in enumerate(cameras):
-        origins, directions = marching_camera(camera, opaque).rays()
-        march_rays(opaque, origins, directions, settings, near=camera.near, visited=visited)
-        progress((done + 1) / len(cameras), f"Visibility: camera {done + 1} of {len(cameras)}")
-    cells = visited.reshape(-1, *(DATA_VOXELS + 2,) * 3)[: len(opaque.cells)]
-    return cells[:, 1:-1, 1:-1, 1:-1]
+    for index in range(first, len(cameras)):
+        camera, what = cameras[index], f"Visibility: camera {index + 1} of {len(cameras)}"
+
+        def tell(fraction: float, _: str, index: int = index, what: str = what) -> None:
+            progress((index + fraction) / len(cameras), what)
+
+        coarse = marching_camera(camera, scene)
+        origins, directions = coarse.rays(tiled(coarse.width, coarse.height))
+        march_rays(scene, origins, directions, settings, tell, camera.near, visited)
+        tell(1.0, "")
+        if kept.due or index + 1 == len(cameras):
+            kept.add("visibility", index + 1, {"visited": np.packbits(visited)})
+            kept.flush()
+    own = visited.reshape(-1, *(CELL_VOXELS,) * 3)[:, 1:-1, 1:-1, 1:-1]
+    return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection)
+
+
+def opacity_scene(matter: Matter, lattice: Lattice, ndc: Ndc | None) -> Snerg:
+    """A scene of opacity alone on the lattice of voxels twice as large; faint voxels stay, so that fog adds up."""
+    places = places_of(matter.indirection)
+    mask = np.zeros(lattice.blocks, bool)
+    mask[tuple((places // 2).T)] = True
+    indirection = number(mask)
+    cells = np.zeros((int(mask.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
+    for octant, rows in octants(places):
+        part = tuple(slice(1 + HALF * o, 1 + HALF * (o + 1)) for o in octant)
+        cells[(indirection[tuple((places[rows] // 2).T)], *part, 3)] = matter.coarse[rows]
+    for _ in fill_aprons(cells, indirection):
+        pass
+    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, None, ndc=ndc)
+
+
+def refined(bits: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """A mask of coarse voxels [Mc, 30, 30] as one of the voxels twice as fine [M, 30, 30]; coarse, fine: their indirection grids."""
+    places = places_of(fine)
+    result = np.zeros((len(places), DATA_VOXELS, DATA_VOXELS), np.uint32)
+    for octant, rows in octants(places):
+        part = tuple(slice(HALF * o, HALF * (o + 1)) for o in octant)
+        for start in range(0, len(rows), SLAB):
+            some = rows[start : start + SLAB]
+            own = unpack(bits[coarse[tuple((places[some] // 2).T)]])[(slice(None), *part)]
+            result[some] = pack(own.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3))
+    return result
+
+
+def octants(places: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """Each octant (0 or 1 an axis) of a block of coarse voxels, and which blocks at places [M, 3] of fine ones fill it."""
+    return [(octant, np.flatnonzero((places % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
 
 
 def marching_camera(camera: Camera, scene: Snerg) -> Camera:

@@ -13,8 +13,9 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.field.field import Field
 from snerg.core.field.networks import HashFamily, ViewNetwork, view_residual
 from snerg.core.field.sampling import Domain
-from snerg.core.grid.bake import BakeSettings, Lattice, bake
+from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.grid.box import Box
+from snerg.core.grid.lattice import Lattice
 from snerg.core.grid.march import march
 from snerg.core.grid.refine import RefineSettings, gather, refine
 
@@ -30,6 +31,7 @@ class Ball:
     occupancy: None = None
     ndc: Ndc | None = None
     view: str = "deferred"
+    params: dict = field(default_factory=dict)
     domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
 
     def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,7 +51,7 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
 
 
 def test_lattice_covers_the_box_and_a_voxel_more():
-    lattice = Lattice.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 64)
+    lattice = Lattice.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
     assert lattice.shape == (66, 34, 18)
     assert np.allclose(lattice.points(np.array([[1, 1, 1]]) - 0.5), 0)
 
@@ -126,7 +128,7 @@ def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
     centre = np.array([2e5, -1e5, 3e5])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), centre
-    lattice = Lattice.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 4096)
+    lattice = Lattice.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
     domain = Domain.around(centre - 2, centre + 2)
     voxels = np.random.default_rng(0).integers(0, lattice.shape, (1000, 3))
     found = domain.from_world(lattice.points(voxels))
@@ -229,7 +231,9 @@ def test_a_field_without_features_is_baked():
     assert np.array_equal(plain.cells, ball.cells)
 
 
-@pytest.mark.parametrize("settings", [{"resolution": 0}, {"resolution": 10**6}, {"samples": 0}])
+@pytest.mark.parametrize(
+    "settings", [{"resolution": 0}, {"resolution": 10**6}, {"samples": -1}, {"samples": 65}, {"voxel_size": 0.0}, {"alpha_threshold": 0.0}]
+)
 def test_settings_that_make_no_sense(settings):
     with pytest.raises(SnergError):
         BakeSettings(**settings)

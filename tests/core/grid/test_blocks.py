@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from snerg.core.grid.blocks import cells_of, dilate, number, with_apron
+from snerg.core.grid.blocks import OWN, counts, fill_aprons, grow, number, pack, reach, unpack
 from snerg.core.grid.jitter import voxel_normal, voxel_uniform
 from snerg.core.grid.quantize import quantize
 
@@ -22,48 +22,62 @@ def blocks() -> tuple[np.ndarray, np.ndarray]:
     return dense, mask
 
 
+def test_a_mask_is_packed_and_unpacked():
+    own = np.random.default_rng(0).random((3, 30, 30, 30)) < 0.3
+    bits = pack(own)
+    assert bits.shape == (3, 30, 30) and not (bits & ~OWN).any() and np.array_equal(unpack(bits), own)
+    assert counts(bits).tolist() == own.sum(axis=(1, 2, 3)).tolist()
+
+
 def test_aprons_hold_the_neighbours_voxels(blocks):
     dense, mask = blocks
-    cells = with_apron(split(dense, mask), number(mask))
+    cells = np.zeros((int(mask.sum()), 32, 32, 32), np.uint8)
+    cells[:, 1:-1, 1:-1, 1:-1] = split(dense, mask)
+    assert list(fill_aprons(cells, number(mask)))[-1] == len(cells)
     padded = np.pad(dense, 1)
     for place, cell in zip(np.argwhere(mask), cells, strict=True):
         assert np.array_equal(cell, padded[tuple(slice(30 * b, 30 * b + 32) for b in place)])
 
 
-def test_dilation_crosses_block_borders():
-    mask = np.ones((2, 1, 1), bool)
-    dense = np.zeros((60, 30, 30), bool)
-    dense[29, 15, 15] = True
-    grown = dilate(split(dense, mask), number(mask), 2)
-    assert grown[0, 27:, 13:18, 13:18].all() and grown[1, :2, 13:18, 13:18].all()
-    assert grown.sum() == 125
+def test_a_mask_grows_across_block_borders(blocks):
+    """As a plain dilation of the whole volume does, in whatever blocks there are."""
+    mask = blocks[1]
+    dense = np.random.default_rng(1).random((90, 60, 90)) < 0.003
+    dense &= np.kron(mask, np.ones((30, 30, 30), bool))
+    padded = np.pad(dense, 1)
+    whole = np.zeros_like(dense)
+    for x, y, z in np.ndindex(3, 3, 3):
+        whole |= padded[x : x + 90, y : y + 60, z : z + 90]
+    grown = grow(pack(split(dense, mask)), number(mask))
+    assert np.array_equal(unpack(grown), split(whole, mask))
 
 
 @pytest.mark.hard_case(34)
 def test_a_block_without_voxels_keeps_its_neighbours_tent():
-    mask = np.array([True, False, False]).reshape(3, 1, 1)
-    own = np.zeros((1, 30, 30, 30, 4), np.uint8)
-    own[0, 29, 3, 3] = 200
-    cells, kept = cells_of(own, number(mask))
-    assert (kept.ravel() >= 0).tolist() == [True, True, False]
-    assert cells[1, 0, 4, 4, 3] == 200
+    """A voxel is in the 32^3 of every block that it touches, over faces, edges and corners."""
+    mask = np.zeros((3, 3, 3), bool)
+    mask[1, 1, 1] = True
+    for voxel, expected in (((29, 3, 3), 2), ((29, 0, 3), 4), ((0, 0, 29), 8), ((5, 6, 7), 1)):
+        own = np.zeros((1, 30, 30, 30), bool)
+        own[(0, *voxel)] = True
+        reached = reach(pack(own), number(mask))
+        assert reached.sum() == expected and reached[1, 1, 1]
+        for axis, at in enumerate(voxel):
+            side = {0: 0, 29: 2}.get(at, 1)
+            assert reached.any(axis=tuple(a for a in range(3) if a != axis))[side]
 
 
 @pytest.mark.hard_case(45, 46, 54, 57)
 def test_empty_blocks_are_dropped_and_none_is_left_out():
-    cells, kept = cells_of(np.zeros((4, 30, 30, 30, 8), np.uint8), number(np.ones((2, 2, 1), bool)))
-    assert cells.shape == (0, 32, 32, 32, 8) and (kept == -1).all()
+    assert not reach(np.zeros((4, 30, 30), np.uint32), number(np.ones((2, 2, 1), bool))).any()
 
 
 @pytest.mark.hard_case(51)
 @pytest.mark.parametrize("alpha", [0.002, 0.004, 0.02, 0.3, 1.0])
 def test_thin_fog_keeps_its_colour(alpha):
     count = 40_000
-    stored = quantize(
-        np.full((count, 3), 0.7 * alpha, np.float32),
-        np.full(count, alpha, np.float32),
-        np.random.default_rng(0).random((count, 4), np.float32),
-    )
+    values = np.tile(np.float32([0.7 * alpha] * 3 + [alpha]), (count, 1))
+    stored = quantize(values, np.random.default_rng(0).random((count, 4), np.float32))
     colour, opacity = stored[:, 0].mean() / 255, stored[:, -1].mean() / 255
     assert opacity == pytest.approx(alpha, rel=0.03)
     assert colour / opacity == pytest.approx(0.7, abs=0.02)

@@ -1,0 +1,125 @@
+"""Long work in parts, which a few threads do: what is finished is kept in a folder, so that it outlives a kill."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import time
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYet
+from pathlib import Path
+
+import numpy as np
+
+from ..files import MARK, check_replaceable, write_bytes
+
+Arrays = dict[str, np.ndarray]
+THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
+SAVE_EVERY = 5.0  # seconds of work that a kill may cost
+LOOK_EVERY = 0.2  # seconds between two looks whether to stop
+
+
+class Kept:
+    """Results of parts of work by stage and number, of the work that `key` names; without a folder nothing is kept.
+
+    Every file is whole or not there, and its name says whose it is, so that other work in the same folder is never taken for this.
+    """
+
+    def __init__(self, folder: Path | None, key: str) -> None:
+        self.folder, self.key = folder, key
+        self.new: dict[str, Arrays] = {}
+        self.stage, self.saved = "", time.monotonic()
+        if folder is not None and folder.is_dir():
+            check_replaceable(folder)
+            for path in folder.iterdir():
+                if path.name != MARK and not path.name.startswith(key):
+                    path.unlink(missing_ok=True)
+
+    def read(self, stage: str) -> Iterator[tuple[int, Arrays]]:
+        """The parts of a stage that were finished before; a damaged file counts as none."""
+        if self.folder is None:
+            return
+        for path in sorted(self.folder.glob(f"{self.key}-{stage}-*.npz")):
+            try:
+                with np.load(path, allow_pickle=False) as archive:
+                    parts: dict[int, Arrays] = {}
+                    for name in archive.files:
+                        part, _, short = name.partition(".")
+                        parts.setdefault(int(part), {})[short] = archive[name]
+            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+                continue
+            yield from parts.items()
+
+    def add(self, stage: str, part: int, arrays: Arrays) -> None:
+        """Keep a part; it is on the disk a few seconds later, or when the stage ends."""
+        if self.folder is None:
+            return
+        self.stage = stage
+        self.new |= {f"{part}.{name}": array for name, array in arrays.items()}
+        if self.due:
+            self.flush()
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to write."""
+        return self.folder is not None and time.monotonic() - self.saved > SAVE_EVERY
+
+    def flush(self) -> None:
+        """Write what is not on the disk yet. Raises SnergError when it cannot."""
+        if self.folder is not None and self.new:
+            buffer = io.BytesIO()
+            np.savez(buffer, **self.new)  # type: ignore[arg-type]
+            first = int(next(iter(self.new)).partition(".")[0])
+            if not (self.folder / MARK).exists():
+                write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
+            write_bytes(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", buffer.getvalue())
+        self.new, self.saved = {}, time.monotonic()
+
+    def remove(self) -> None:
+        """The work is done: delete the folder."""
+        if self.folder is not None and (self.folder / MARK).exists():
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def each(stage: str, count: int, work: Callable[[int], Arrays], kept: Kept, tell: Callable[[float], None]) -> Iterator[tuple[int, Arrays]]:
+    """(number, `work(number)`) of every part of a stage, those that are kept first, the others from a few threads.
+
+    tell: called with the fraction done several times a second; what it raises stops the work, and finished parts are kept.
+    """
+    done = set()
+    for part, arrays in kept.read(stage):
+        if part < count and part not in done:
+            done.add(part)
+            yield part, arrays
+    pool = ThreadPoolExecutor(THREADS)
+    ahead: deque[tuple[int, Future[Arrays]]] = deque()
+    todo = iter([part for part in range(count) if part not in done])
+    try:
+        while True:
+            while len(ahead) < 2 * THREADS and (part := next(todo, -1)) >= 0:
+                ahead.append((part, pool.submit(work, part)))
+            if not ahead:
+                break
+            part, future = ahead.popleft()
+            arrays = _wait(future, lambda: tell(len(done) / count))
+            done.add(part)
+            kept.add(stage, part, arrays)
+            yield part, arrays
+            tell(len(done) / count)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        kept.flush()
+
+
+def _wait(future: Future[Arrays], look: Callable[[], None]) -> Arrays:
+    while True:
+        try:
+            return future.result(LOOK_EVERY)
+        except NotYet:
+            if future.done():
+                raise  # the work's own
+            look()
