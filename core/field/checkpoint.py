@@ -22,7 +22,7 @@ from .sampling import Domain
 
 FILE = "field.npz"
 FORMAT = "snerg-field"
-VERSION = 2
+VERSION = 3
 MAX_BYTES = 2**31
 
 

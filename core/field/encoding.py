@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,20 +35,20 @@ class HashGrid:
 
     @cached_property
     def rows(self) -> int:
-        """Vertices of all levels together: the table is [rows, features]."""
+        """Vertices of all levels together."""
         return int(self.sizes.sum())
 
 
 def hash_lookup(xnp: Any, grid: HashGrid, x: Any) -> tuple[Any, Any]:
-    """Which vertices of the table a point needs, and with what weights.
+    """Which vertices of each level a point needs, and with what weights.
 
-    x: [N, 3] in [0, 1]. Returns indices int32 [N, levels, 4] and weights float32 [N, levels, 4]. A cell is cut
-    into six tetrahedra along its diagonal, so 4 vertices do where a cube needs 8, and the result is continuous.
+    x: [N, 3] in [0, 1]. Returns indices int32 [levels, N, 4] into a level's vertices and weights float32 [levels, N, 4]. A cell
+    is cut into six tetrahedra along its diagonal, so 4 vertices do where a cube needs 8, and the result is continuous.
     It depends on the points alone: compile it apart from what uses it, or XLA repeats it for every feature.
     """
-    scaled = x[:, None, :] * grid.resolutions.astype(np.float32)[None, :, None]
+    scaled = x.T[:, None, :] * grid.resolutions.astype(np.float32)[:, None]
     cell = xnp.floor(scaled)
-    fx, fy, fz = (scaled[..., axis] - cell[..., axis] for axis in range(3))
+    fx, fy, fz = (scaled[axis] - cell[axis] for axis in range(3))
     base = cell.astype(xnp.uint32)
     highest = xnp.maximum(xnp.maximum(fx, fy), fz)
     lowest = xnp.minimum(xnp.minimum(fx, fy), fz)
@@ -59,25 +60,30 @@ def hash_lookup(xnp: Any, grid: HashGrid, x: Any) -> tuple[Any, Any]:
         (fx >= fy).astype(xnp.uint32) + (fz > fy).astype(xnp.uint32),
         (fx >= fz).astype(xnp.uint32) + (fy >= fz).astype(xnp.uint32),
     )
-    vertices = [vertex_index(xnp, grid, [base[..., a] + (order[a] < step) for a in range(3)]) for step in range(4)]
+    vertices = [vertex_index(xnp, grid, [base[a] + (order[a] < step) for a in range(3)]) for step in range(4)]
     return xnp.stack(vertices, axis=-1), weights
 
 
 def vertex_index(xnp: Any, grid: HashGrid, corner: list[Any]) -> Any:
-    """Rows int32 [N, levels] of the table for vertices given by x, y, z, each [N, levels]: by place where a level fits, else hashed."""
-    side = (grid.resolutions + 2).astype(np.uint32)
-    x, y, z = (c.astype(xnp.uint32) for c in corner)
-    hashed = (x ^ (y * np.uint32(PRIMES[0])) ^ (z * np.uint32(PRIMES[1]))) & np.uint32(2**grid.log2_size - 1)
-    fits = (grid.resolutions + 2) ** 3 <= 2**grid.log2_size
-    offset = (np.cumsum(grid.sizes) - grid.sizes).astype(np.uint32)
-    return (xnp.where(fits, (x * side + y) * side + z, hashed) + offset).astype(xnp.int32)
+    """Vertices int32 [levels, N] given by x, y, z, each uint32 [levels, N]: by place where a level fits, which the coarser do,
+    else hashed."""
+    fits = int(np.count_nonzero((grid.resolutions + 2) ** 3 <= 2**grid.log2_size))
+    side = (grid.resolutions[:fits, None] + 2).astype(np.uint32)
+    x, y, z = corner
+    placed = (x[:fits] * side + y[:fits]) * side + z[:fits]
+    hashed = (x[fits:] ^ (y[fits:] * np.uint32(PRIMES[0])) ^ (z[fits:] * np.uint32(PRIMES[1]))) & np.uint32(2**grid.log2_size - 1)
+    return xnp.concatenate([placed, hashed]).astype(xnp.int32)
 
 
-def hash_encode(grid: HashGrid, table: Any, indices: Any, weights: Any) -> Any:
-    """The table, flat [rows * features], at `hash_lookup`'s vertices: [N, levels * features].
+def hash_encode(xnp: Any, grid: HashGrid, tables: Sequence[Any], indices: Any, weights: Any) -> Any:
+    """A level's table each, flat [size * features], at `hash_lookup`'s vertices: [N, levels * features].
 
-    Flat, because Adam takes a third of the time over one long axis that it takes over many rows of a few features.
+    Flat, because Adam takes a third of the time over one long axis that it takes over many rows of a few features; and a table
+    a level, because XLA then works on several at once.
     """
-    rows = table.reshape(-1, grid.features)
-    found = rows[indices] if isinstance(table, np.ndarray) else rows.at[indices].get(mode="promise_in_bounds")
-    return (found * weights[..., None]).sum(axis=2).reshape(len(indices), -1)
+    levels = []
+    for table, index, weight in zip(tables, indices, weights, strict=True):
+        rows = table.reshape(-1, grid.features)
+        found = rows[index] if xnp is np else rows.at[index].get(mode="promise_in_bounds")
+        levels.append((found * weight[..., None]).sum(axis=1))
+    return xnp.concatenate(levels, axis=-1)

@@ -106,11 +106,9 @@ def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str,
 
 def _init_hash(family: HashFamily, outputs: int, rng: np.random.Generator) -> dict[str, Any]:
     grid, width = family.grid, family.width
-    table = rng.uniform(-1e-4, 1e-4, grid.rows * grid.features).astype(np.float32)
+    tables = {f"table_{i}": rng.uniform(-1e-4, 1e-4, size * grid.features).astype(np.float32) for i, size in enumerate(grid.sizes.tolist())}
     layers = [init_dense(rng, grid.levels * grid.features, width), init_dense(rng, width, 1 + outputs)]
-    return {"table": table} | {
-        f"{part}_{i}": a for i, layer in enumerate(layers) for part, a in zip(("weights", "bias"), layer, strict=True)
-    }
+    return tables | {f"{part}_{i}": a for i, layer in enumerate(layers) for part, a in zip(("weights", "bias"), layer, strict=True)}
 
 
 def _init_mlp(family: MlpFamily, outputs: int, rng: np.random.Generator) -> Any:
@@ -155,7 +153,8 @@ def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[A
 def raw_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
     """`field_outputs` with the density [N] as it is before its activation."""
     if isinstance(family, HashFamily):
-        hidden = xnp.maximum(hash_encode(family.grid, params["table"], *inputs) @ params["weights_0"] + params["bias_0"], 0)
+        tables = [params[f"table_{i}"] for i in range(family.grid.levels)]
+        hidden = xnp.maximum(hash_encode(xnp, family.grid, tables, *inputs) @ params["weights_0"] + params["bias_0"], 0)
         raw = hidden @ params["weights_1"] + params["bias_1"]
         density, values = raw[:, 0], raw[:, 1:]
     else:

@@ -231,7 +231,7 @@ def test_one_weight_that_is_not_a_number_spoils_its_ray_and_the_step(pool):
 
     scheme = scheme_of(pool, SMALL)
     params = init_params(HASH, "deferred", True, np.random.default_rng(0))
-    params["coarse"]["field"]["table"][:] = np.nan
+    params["coarse"]["field"]["table_1"][:] = np.nan
     params = jax.tree.map(jnp.asarray, params)
     batch = scheme.batch(params, 0.0).arrays
     # A ReLU may make 0 of it on the way to the loss, in some compilations; the gradient has it all the same.

@@ -254,7 +254,7 @@ def test_the_cause_of_a_broken_step_is_named(views):
     nan = np.float32(np.nan)
     assert "a broken pose" in cause(trainer.scheme.loss, params, {**arrays, "directions": arrays["directions"] * nan})
     assert "a broken image" in cause(trainer.scheme.loss, params, {**arrays, "target": arrays["target"] * nan})
-    for name, where in (("table", "the hash table"), ("weights_1", "the field's network")):
+    for name, where in (("table_2", "the hash table"), ("weights_1", "the field's network")):
         broken = {**params, "field": {**params["field"], name: params["field"][name] * nan}}
         assert cause(trainer.scheme.loss, broken, arrays).startswith(where)
     view = tuple(a * nan if i == 4 else a for i, a in enumerate(params["view"]))
