@@ -22,6 +22,8 @@ from typing import Any, NoReturn, TextIO
 from . import verbs
 from .capture.dataset import DatasetOptions
 from .errors import Cancelled, SnergError
+from .export.codecs import SUFFIXES, CodecSettings
+from .export.scene import PNG
 from .field.devices import connect, device_report
 from .field.networks import VIEWS
 from .field.settings import PRESETS
@@ -99,7 +101,7 @@ def parser() -> argparse.ArgumentParser:
     bake = verb(
         "bake",
         "bake a field into a scene",
-        lambda o, p: verbs.bake_scene(o.field, o.out, o.resolution, o.box, o.samples, o.refine, p),
+        lambda o, p: verbs.bake_scene(o.field, o.out, o.resolution, o.box, o.samples, o.refine, p, _codec(o) or PNG),
     )
     bake.add_argument("field", type=Path, metavar="FIELD")
     bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
@@ -107,8 +109,12 @@ def parser() -> argparse.ArgumentParser:
         "--resolution", type=count, default=verbs.RESOLUTION, metavar="N", help="voxels along the longest side (default: %(default)s)"
     )
     bake.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
-    bake.add_argument("--samples", type=count, default=verbs.SAMPLES, metavar="K", help="a voxel (default: %(default)s)")
+    bake.add_argument(
+        "--samples", type=natural, default=verbs.SAMPLES, metavar="K", help="a voxel (default: as many as are worth their time)"
+    )
     bake.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
+
+    _storing(bake, "png")
 
     measure = verb("eval", "measure a field or a scene on views that training did not see", _evaluate)
     measure.add_argument("target", type=Path, metavar="FIELD_OR_SCENE")
@@ -129,11 +135,14 @@ def parser() -> argparse.ArgumentParser:
     export.add_argument("scene", type=Path, metavar="SCENE")
     export.add_argument("--out", type=Path, required=True, metavar="DIR")
 
-    bundle = verb("bundle", "write a scene as a web page", lambda o, p: verbs.bundle_scene(o.scene, o.out, o.cameras, o.single_file, p))
+    bundle = verb(
+        "bundle", "write a scene as a web page", lambda o, p: verbs.bundle_scene(o.scene, o.out, o.cameras, o.single_file, p, _codec(o))
+    )
     bundle.add_argument("scene", type=Path, metavar="SCENE")
     bundle.add_argument("--out", type=Path, required=True, metavar="DIR")
     bundle.add_argument("--cameras", type=Path, metavar="FILE", help="a transforms file whose cameras the page lists")
     bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
+    _storing(bundle, "the scene's own")
 
     about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
     about.add_argument("path", type=Path, nargs="?", metavar="PATH")
@@ -148,6 +157,20 @@ def _reading(verb: argparse.ArgumentParser, defaults: DatasetOptions | None) -> 
     verb.add_argument("--downscale", type=count, metavar="N", help=f"read pictures this many times smaller (default: {told[1]})")
     if defaults is not None:
         verb.set_defaults(holdout=defaults.holdout, downscale=defaults.downscale)
+
+
+def _storing(verb: argparse.ArgumentParser, default: str) -> None:
+    """How a scene's pictures are stored."""
+    verb.add_argument("--codec", choices=tuple(SUFFIXES), help=f"of the scene's pictures; png and webp lose nothing (default: {default})")
+    verb.add_argument("--quality", type=count, metavar="Q", help=f"of lossy codecs, 1 to 100 (default: {CodecSettings.quality})")
+
+
+def _codec(options: argparse.Namespace) -> CodecSettings | None:
+    if options.codec is None:
+        if options.quality is not None:
+            raise SnergError("A quality needs a lossy codec; give --codec jpeg, avif or h264 with it.")
+        return None
+    return CodecSettings(options.codec, CodecSettings.quality if options.quality is None else options.quality)
 
 
 def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:

@@ -23,16 +23,20 @@ from .describe import Result, any_field, any_scene, folder_bytes, info, kind_of
 from .errors import SnergError, needs_jax
 from .evaluate import evaluate, options_of, trained
 from .export.bundle import viewer_files, write_bundle
+from .export.codecs import CodecSettings
 from .export.reference import write_reference
-from .export.scene import write_scene
+from .export.scene import PNG, codec_of, is_current, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
+from .field.losses import shown_over
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.box import Box
-from .grid.march import MarchSettings, march, tables_of
+from .grid.kept import discard
+from .grid.march import MarchSettings, march
 from .grid.snerg import Snerg
+from .grid.tables import tables_of
 from .progress import Progress, silent, within
 
 if TYPE_CHECKING:
@@ -40,7 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = ["bake_scene", "bundle_scene", "evaluate", "export_reference", "import_source", "info", "render_views", "train_field"]
 RESOLUTION = 512
-SAMPLES = 4
+SAMPLES = 0
 EIGHTH = DatasetOptions()
 
 
@@ -139,38 +143,50 @@ def bake_scene(
     samples: int = SAMPLES,
     refine: bool = True,
     progress: Progress = silent,
+    codec: CodecSettings = PNG,
 ) -> Result:
     """Bake a field inside a box into a scene (JAX), then refine its view-dependence network on the training images.
 
     resolution: voxels along the box's longest side. box: a JSON file (see Box.from_json); all that the field holds when
-    None. samples: a voxel. Raises SnergError on bad input, Cancelled when `progress` does; then `out` is as it was.
+    None. samples: a voxel, 0 for as many as measuring shows to be worth their time. Raises SnergError on bad input, Cancelled when
+    `progress` does; then `out` is as it was, and what is finished lies in a folder beside it (.NAME.bake), from which the same
+    bake goes on when it is started again.
     """
     check_out(out, "scene", field)
+    codec.check()
     source = read_field(field)
     volume = Box.read(box) if box is not None else source.domain.world_box()
     dataset = _images_to_refine_on(source) if refine else None
-    snerg, seconds = bake_field(source, volume, resolution, samples, dataset, progress)
-    write_scene(snerg, out, within(progress, 0.97, 1.0))
+    unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
+    snerg, seconds = bake_field(source, volume, resolution, samples, dataset, progress, unfinished)
+    write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
+    discard(unfinished)
     about = snerg.about
     result = {"seconds": seconds, "refined": "psnr_after" in about.get("refine", {}), **info(out)}
     return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
 
 
 def bake_field(
-    field: Field, box: Box, resolution: int, samples: int, dataset: Dataset | None, progress: Progress = silent
+    field: Field, box: Box, resolution: int, samples: int, dataset: Dataset | None, progress: Progress = silent, resume: Path | None = None
 ) -> tuple[Snerg, dict[str, float]]:
-    """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX)."""
+    """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX).
+
+    resume: see grid.bake.bake.
+    """
     with needs_jax():
         from .grid.bake import BakeSettings, bake
         from .grid.refine import RefineSettings, refine
     began = time.perf_counter()
     share = 0.97 if dataset is None else 0.7
-    snerg = bake(field, box, field.cameras, BakeSettings(resolution=resolution, samples=samples), within(progress, 0, share))
-    snerg = replace(snerg, about={**snerg.about, "trained": trained(field.about)})
+    settings = BakeSettings(resolution=resolution, samples=samples)
+    snerg = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
+    known = trained(field.about)
+    snerg = replace(snerg, about={**snerg.about, "trained": known})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()
-        snerg, _ = refine(snerg, dataset, RefineSettings(), within(progress, share, 0.97))
+        red, green, blue = shown_over(known["background"]).tolist()
+        snerg, _ = refine(snerg, dataset, RefineSettings(background=(red, green, blue)), within(progress, share, 0.97))
         seconds["refine"] = time.perf_counter() - began
     return snerg, {name: round(value, 2) for name, value in seconds.items()}
 
@@ -246,16 +262,27 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
     return {"out": str(out), **info(out)}
 
 
-def bundle_scene(scene: Path, out: Path, cameras: Path | None = None, single_file: bool = False, progress: Progress = silent) -> Result:
+def bundle_scene(
+    scene: Path,
+    out: Path,
+    cameras: Path | None = None,
+    single_file: bool = False,
+    progress: Progress = silent,
+    codec: CodecSettings | None = None,
+) -> Result:
     """Write a web page that shows a scene: a folder for any static server, or one .html when `single_file`.
 
-    cameras: a transforms file whose cameras the page lists.
+    cameras: a transforms file whose cameras the page lists. codec: of the scene's pictures; the scene's own when None.
     """
     check_out(out, "page", scene, *([cameras] if cameras else []))
     viewer_files()
     views = read_cameras(cameras) if cameras else ()
-    written = write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress)
-    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), **written}
+    ours = kind_of(scene) == "scene" and is_current(scene)
+    stored = codec_of(scene) if ours else PNG
+    source = scene if ours and codec in (None, stored) else None
+    codec = codec or stored
+    written = write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress, codec=codec, source=source)
+    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
 
 
 def check_out(out: Path, kind: str, *sources: Path) -> None:

@@ -23,7 +23,8 @@ from .kept import Kept
 from .lattice import FINEST, Lattice
 from .memory import check_fits
 from .occupancy import find_matter
-from .prefilter import choose_samples, fill
+from .prefilter import fill
+from .samples import choose_samples
 from .snerg import Snerg
 from .visibility import visible_voxels
 
@@ -45,7 +46,7 @@ class BakeSettings:
     """
 
     resolution: int = 512
-    samples: int = 4
+    samples: int = AUTO
     alpha_threshold: float = 0.005
     visibility_threshold: float = 0.01
     seed: int = 0
@@ -77,8 +78,9 @@ def bake(
 ) -> Snerg:
     """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.
 
-    cameras: those that decide what is visible; none keeps everything. resume: a folder that holds what is finished until all is,
-    so that the same bake goes on there after a kill. Memory beside the finished atlas is bounded, whatever the resolution.
+    cameras: those that decide what is visible; none keeps everything. resume: a folder that holds what is finished, so that the
+    same bake goes on there after a kill; remove it with kept.discard once the scene is safe. Memory beside the finished atlas is
+    bounded, whatever the resolution.
 
     Raises SnergError for a field whose values are not finite, or that depends on the direction in each sample, which a grid
     cannot hold, and for a resolution that does not fit in memory; Cancelled when `progress` does. An empty result is a valid
@@ -127,7 +129,6 @@ def bake(
         about["samples_measured"] = evidence
     if not len(cells):
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
-    kept.remove()
     return Snerg(
         lattice.grid_to_world,
         lattice.voxel_size,

@@ -31,7 +31,7 @@ class Kept:
 
     def __init__(self, folder: Path | None, key: str) -> None:
         self.folder, self.key = folder, key
-        self.new: dict[str, Arrays] = {}
+        self.new: Arrays = {}
         self.stage, self.saved = "", time.monotonic()
         if folder is not None and folder.is_dir():
             check_replaceable(folder)
@@ -45,7 +45,7 @@ class Kept:
             return
         for path in sorted(self.folder.glob(f"{self.key}-{stage}-*.npz")):
             try:
-                with np.load(path, allow_pickle=False) as archive:
+                with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as archive:  # NumPy leaves what it cannot read open
                     parts: dict[int, Arrays] = {}
                     for name in archive.files:
                         part, _, short = name.partition(".")
@@ -79,10 +79,11 @@ class Kept:
             write_bytes(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", buffer.getvalue())
         self.new, self.saved = {}, time.monotonic()
 
-    def remove(self) -> None:
-        """The work is done: delete the folder."""
-        if self.folder is not None and (self.folder / MARK).exists():
-            shutil.rmtree(self.folder, ignore_errors=True)
+
+def discard(folder: Path) -> None:
+    """Delete such a folder, and nothing that is not one."""
+    if (folder / MARK).exists():
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def each(stage: str, count: int, work: Callable[[int], Arrays], kept: Kept, tell: Callable[[float], None]) -> Iterator[tuple[int, Arrays]]:

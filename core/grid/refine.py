@@ -16,7 +16,7 @@ from ..capture.dataset import Dataset
 from ..capture.images import over
 from ..errors import SnergError
 from ..field.networks import ViewNetwork, as_numpy, view_residual
-from .march import MarchSettings, march_rays
+from .march import TILE, MarchSettings, march_rays
 from .snerg import NETWORK_TRANSMITTANCE, Snerg
 
 Progress = Callable[[float, str], None]
@@ -90,8 +90,11 @@ def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: P
     parts = []
     for i, camera in enumerate(dataset.cameras):
         image, mask = dataset.read(i), dataset.mask(i)
-        index = np.sort(rng.choice(camera.width * camera.height, max(1, int(share * camera.width * camera.height)), replace=False))
+        index = rng.choice(camera.width * camera.height, max(1, int(share * camera.width * camera.height)), replace=False)
         row, column = np.divmod(index, camera.width)
+        # The marcher is quickest where rays that follow one another are close together.
+        order = np.lexsort((column, row, column // TILE, row // TILE))
+        row, column = row[order], column[order]
         origins, directions = camera.rays(np.stack([column, row], axis=-1))
         rays = march_rays(snerg, origins, directions, MarchSettings(), near=max(snerg.near, camera.near))
         used = rays.transmittance <= NETWORK_TRANSMITTANCE
