@@ -184,7 +184,8 @@ def _open_image_io(path: Path) -> Any:
         import OpenImageIO
     except ImportError as error:
         raise SnergError(
-            f"The image {path} is OpenEXR, which needs the package OpenImageIO: run 'pip install openimageio', or convert it to PNG."
+            f"The image {path} is OpenEXR, which needs the package OpenImageIO: run 'pip install openimageio' "
+            "(beside NumPy 1: 'openimageio<3.1'), or convert it to PNG."
         ) from error
     return OpenImageIO
 
