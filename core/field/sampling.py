@@ -258,15 +258,19 @@ def coarse_steps(
     return ray[inside], step[inside]
 
 
-_coarser: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
+_coarser: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
 
 
 def coarser(occupied: np.ndarray, span: float) -> tuple[np.ndarray, int]:
-    """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough."""
-    factor = 4
-    cell = 2 * factor / CELLS
-    reach = int(np.ceil(span / 2 / cell))
-    key = (id(occupied), reach)
+    """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+
+    The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
+    """
+    factor = 1
+    while factor < 8 and 8 * factor / CELLS <= span:  # a cell is 2 / CELLS wide, and at most a quarter of the stretch
+        factor *= 2
+    reach = int(np.ceil(span / 2 * CELLS / (2 * factor)))
+    key = (id(occupied), reach, factor)
     kept = _coarser.get(key)
     if kept is None or kept[0] is not occupied:
         size = CELLS // factor
