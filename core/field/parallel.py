@@ -65,6 +65,13 @@ class Devices:
         """Process 0's value, in all processes: what depends on the clock must be the same everywhere."""
         return value if self.processes == 1 else float(multihost_utils.broadcast_one_to_all(np.float32(value)))
 
+    def agreed(self, elapsed: float, stop: bool) -> tuple[float, bool]:
+        """Process 0's clock, and whether any process is to stop, in all processes: one that left alone would leave the others waiting."""
+        if self.processes == 1:
+            return elapsed, stop
+        told = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
+        return float(told[0, 0]), bool(told[:, 1].any())
+
     def _put(self, spec: PartitionSpec, array: Any) -> Any:
         array = np.asarray(array)
         return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])  # type: ignore[arg-type]

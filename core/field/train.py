@@ -124,6 +124,7 @@ class Trainer:
         self.moments = self.devices.place(zero_moments(self.devices.local(self.params)))
         self.held_out = None if held_out is None else self._held_out(held_out)
         self.step, self.elapsed, self.bad = 0, 0.0, 0
+        self.stopping = False  # told to, where there are other processes to stop with
         self.loss = self.error = self.rate = 0.0
         self.samples = self.rays = 0
         self.score: float | None = None
@@ -220,13 +221,13 @@ class Trainer:
             if self.undecided and self.fraction() >= trial.AT:
                 with closing(trial.run(self)) as trying:
                     for note in trying:
-                        if (now := time.perf_counter() - began) - told > TELL_EVERY:
+                        if (now := self._agreed(time.perf_counter() - began)) - told > TELL_EVERY:
                             told = now
                             yield self.told(note)
             self.advance()
             if not compiled:  # the first step is mostly compiling, which is set-up as reading the images is
                 compiled, began = True, time.perf_counter() - self.elapsed
-            self.elapsed = self.devices.shared(time.perf_counter() - began)
+            self.elapsed = self._agreed(time.perf_counter() - began)
             ended = self.fraction() >= 1
             if self.held_out is not None and (ended or self.elapsed - scored > SCORE_EVERY):
                 self.score = decibels(float(self.errors(self.held_out).mean()))
@@ -235,6 +236,13 @@ class Trainer:
             if ended or self.elapsed - told > TELL_EVERY:
                 told = self.elapsed
                 yield self.told()
+
+    def _agreed(self, elapsed: float) -> float:
+        """The seconds that count in all processes. Raises Cancelled in all of them when one is `stopping`."""
+        elapsed, stop = self.devices.agreed(elapsed, self.stopping)
+        if stop:
+            raise Cancelled("Stopped together with the other processes of this training; start them all again to go on.")
+        return elapsed
 
     def told(self, note: str = "") -> TrainProgress:
         """How it goes."""
@@ -405,12 +413,13 @@ def train(
         progress(trainer.fraction(), Note(decision.text()))
     keeper = Keeper(trainer, folder, save_every) if trainer.devices.writes else None
     known = len(trainer.decisions)
+    tell = progress if trainer.devices.processes == 1 else _together(trainer, progress)
     try:
         with closing(trainer.run()) as run:  # type: ignore[type-var]
             for told in run:
-                progress(told.fraction, told.text())
+                tell(told.fraction, told.text())
                 for decision in trainer.decisions[known:]:
-                    progress(told.fraction, Note(decision.text()))
+                    tell(told.fraction, Note(decision.text()))
                 known = len(trainer.decisions)
                 if keeper:
                     keeper(told)
@@ -418,6 +427,11 @@ def train(
         if keeper and trainer.step:
             keeper.save()
         raise
+    except RuntimeError as error:  # JAX's: the connection to another process broke
+        if trainer.devices.processes == 1:
+            raise
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise SnergError(f"Another process of this training is gone ({why}); start them all again to go on from the last save.") from error
     except SnergError:
         with suppress(SnergError):  # whatever hinders saving, what went wrong first is what to tell
             if keeper and trainer.step:
@@ -427,6 +441,18 @@ def train(
     if keeper:
         write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field
+
+
+def _together(trainer: Trainer, progress: Progress) -> Progress:
+    """Progress of one of several processes: told to stop, it stops with the others after a step, or they would wait for it."""
+
+    def tell(fraction: float, what: str, /) -> None:
+        try:
+            progress(fraction, what)
+        except Cancelled:
+            trainer.stopping = True
+
+    return tell
 
 
 class Keeper:

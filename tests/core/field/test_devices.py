@@ -4,6 +4,7 @@ when it starts."""
 import json
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.errors import SnergError
+from snerg.core.field.checkpoint import is_field
 from snerg.core.field.devices import MISSING, connect, device_report
 from snerg.core.field.encoding import HashGrid
 from snerg.core.field.log import FILE as LOG
@@ -105,6 +107,23 @@ def test_two_processes_have_the_losses_of_one_and_only_the_first_writes(dataset,
 def test_processes_that_follow_the_clock_follow_the_same_one(dataset, tmp_path):
     first, second = children(dataset, tmp_path, replace(SETTINGS, steps=None, seconds=1.0), 2, 1)
     assert first["losses"] == second["losses"] and first["sums"] == second["sums"]
+
+
+@pytest.mark.slow
+def test_one_process_that_is_stopped_stops_the_others_with_a_sentence(dataset, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    small = ["--set", "samples=2048", "--set", "family.grid.levels=4", "--set", "family.grid.log2_size=12"]
+    launcher = Path(__file__).parents[3] / "launcher.py"
+    command = [sys.executable, str(launcher), "train", str(dataset), "--out", str(tmp_path / "field"), "--minutes", "60", *small]
+    together = ["--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process"]
+    running = [subprocess.Popen([*command, *together, str(i)], stderr=subprocess.PIPE, text=True) for i in range(2)]
+    next(line for line in running[1].stderr if "Step" in line)
+    running[1].send_signal(signal.SIGINT)
+    for process in running:
+        assert "Stopped together" in process.communicate(timeout=300)[1].splitlines()[-1] and process.returncode == 130
+    assert is_field(tmp_path / "field")
 
 
 def packed(counts: list[int], size: int, rays: int, seed: int = 0) -> dict:
