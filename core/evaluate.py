@@ -18,7 +18,8 @@ from .describe import Result, any_field, any_scene, kind_of
 from .errors import SnergError, needs_jax
 from .field.losses import shown_over
 from .files import check_replaceable, json_bytes, new_folder
-from .grid.march import Frame, MarchSettings, march, tables_of
+from .grid.march import Frame, MarchSettings, march
+from .grid.tables import tables_of
 from .progress import Progress, silent, within
 from .study.metrics import mean_psnr, mse, psnr_of, ssim
 from .study.pictures import contact_sheet, error_picture

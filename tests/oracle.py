@@ -28,12 +28,12 @@ class Truth:
         return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
 
 
-def dense_march(snerg: Snerg, camera: Camera) -> Truth:
+def dense_march(snerg: Snerg, camera: Camera, per_sample_network: bool = False) -> Truth:
     """Every sample of every ray, one after the other (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
-    values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near))
+    values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near), per_sample_network)
     colour = values[:, :3].copy()
-    if snerg.network is not None:
+    if snerg.network is not None and not per_sample_network:
         seen = through <= NETWORK_TRANSMITTANCE
         white = colour + through[:, None]
         colour[seen] += residual(snerg, white[seen], values[seen, 3:], directions[seen] @ snerg.view_rotation.T)
@@ -45,10 +45,13 @@ def dense_march(snerg: Snerg, camera: Camera) -> Truth:
     return Truth(colour.reshape(h, w, 3), through.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
-def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def dense_rays(
+    snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world; depth in units of
     the grid's space."""
     begins = near
+    views = directions @ snerg.view_rotation.T
     if snerg.ndc is not None:
         origins, directions = device_rays(snerg.ndc, origins, directions, near)
         begins = 0.0
@@ -71,6 +74,10 @@ def dense_rays(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: 
         if not len(live):
             return fill(values, through, depth) if snerg.fill_holes else (values, through, depth)
         sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
+        if per_sample_network:  # as a surface of the sample's own colour would look, alpha times
+            alpha = sample[:, -1:]
+            straight = sample[:, :-1] / np.where(alpha > 0, alpha, 1)
+            sample[:, :3] += alpha * residual(snerg, straight[:, :3], straight[:, 3:], views[live])
         values[live] += through[live, None] * sample[:, :-1]
         depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
         through[live] *= 1 - sample[:, -1]
@@ -119,7 +126,7 @@ def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
     for offset in np.ndindex(2, 2, 2):
         weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1)
         x, y, z = (base + np.array(offset)).T
-        result[full] += weight[:, None] * snerg.cells[cell[full], x, y, z] / 255
+        result[full] += weight[:, None] * snerg.cells[cell[full], x, y, z] / (255 if snerg.cells.dtype == np.uint8 else 1)
     return result
 
 

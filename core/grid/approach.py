@@ -82,9 +82,7 @@ def bundled(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.
     return np.maximum(np.ceil(reached.repeat(BUNDLE)[:count] - lag - (HAIR + np.float32(0.5))), 0)
 
 
-def advance(
-    tables: Tables, centre: np.ndarray, along: np.ndarray, radius: np.ndarray, growth: np.ndarray, last: np.ndarray
-) -> np.ndarray:
+def advance(tables: Tables, centre: np.ndarray, along: np.ndarray, radius: np.ndarray, growth: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Distance [G] up to which a cube around centre + s * along, of half a side radius + s * growth (all [3, G]), meets nothing
     that is not empty; at least `last` where that is nowhere."""
     bricks = np.array(tables.bricks)[:, None]

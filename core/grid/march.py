@@ -24,7 +24,7 @@ from .tolerance import stop_for
 from .walk import Gathered, Rays, Walk
 
 Progress = Callable[[float, str], None]
-SHARE = 16384  # rays that a thread prepares, or shades, at a time
+SHARE = 32768  # rays that a thread prepares, or shades, at a time
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
 TICK_SECONDS = 0.03  # between two calls of `progress`
 FIRST = 4  # how many times smaller, each way, the first picture is
@@ -43,7 +43,7 @@ class MarchSettings:
     tolerance: float = 1e-4
     stop_transmittance: float | None = None
     per_sample_network: bool = False
-    batch: int = 8192
+    batch: int = 16384
     threads: int = 2
     skip: bool = True
 
@@ -195,6 +195,7 @@ def _march(
         return Rays(ready.index + some.start, ready.moving)
 
     def residual(colour: np.ndarray, features: np.ndarray, index: np.ndarray) -> np.ndarray:
+        assert snerg.network is not None
         return view_residual(np, snerg.network, colour, features, views[index])
 
     light = settings.stop_transmittance
@@ -240,5 +241,3 @@ def filled(rays: Composited) -> Composited:
     factor = np.where(alpha < 2 / 3, 1.5, 1 / np.maximum(alpha, 2 / 3)).astype(np.float32)
     through = np.maximum(1 - factor * alpha, 0)
     return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor)
-
-

@@ -58,13 +58,14 @@ def make_tables(snerg: Snerg) -> Tables:
     voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if whole else flat
     tents = tent_bits((voxels != 0 if whole else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
     occupied, base = _bricks(snerg.indirection, tents)
+    x, y, z = occupied.shape
     return Tables(
         voxels=voxels,
         channels=channels,
         unit=255.0 if whole else 1.0,
         brick_base=base.reshape(-1),
         brick_distance=chebyshev(occupied, 255).reshape(-1),
-        bricks=occupied.shape,
+        bricks=(x, y, z),
         voxel_skip=_voxel_skip(tents),
     )
 

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .box import CELL_VOXELS
 from .tables import BRICK, STRIDES, Tables
 
 CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 AHEAD = 4  # samples of a ray that are taken together
-SLICE = 8192  # samples interpolated together; their 8 corners in floats fill a cache
+SLICE = 32768  # samples interpolated together, so many that threads rarely wait for Python
 HAIR = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
 STILL = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
 

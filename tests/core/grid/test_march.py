@@ -1,16 +1,20 @@
 """The marcher against the plain float64 one, and against closed forms."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from oracle import dense_march, dense_rays
-from scenes import empty_snerg, looking, make_cameras, make_snerg, snerg_from_volume
+from scenes import empty_snerg, looking, make_cameras, make_snerg, random_network, rotation, snerg_from_volume
 from snerg.core.capture.camera import Camera
 from snerg.core.errors import Cancelled
-from snerg.core.grid.march import Composited, MarchSettings, filled, march, march_rays
+from snerg.core.field.networks import ViewNetwork, view_residual
+from snerg.core.grid.march import Composited, MarchSettings, filled, march, march_rays, progressive, tiled
+from snerg.core.grid.snerg import Snerg
 from snerg.core.grid.tables import chebyshev, tables_of
+from snerg.core.grid.tolerance import excess, steepness, stop_for
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
@@ -28,7 +32,7 @@ def test_equals_the_dense_march(diffuse, index):
     camera = small_cameras()[index]
     got, truth = march(snerg, camera), dense_march(snerg, camera)
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
-    assert np.abs(got.over() - truth.over()).max() < 5e-4  # the network amplifies what it is given
+    assert np.abs(got.over() - truth.over()).max() < (1e-4 if diffuse else 3e-4)  # the network amplifies rounding
     seen = got.alpha > 0.01
     assert np.abs(got.depth[seen] - truth.depth[seen]).max() < 1e-2
 
@@ -145,6 +149,121 @@ def test_an_empty_scene_is_an_empty_picture():
     frame = march(snerg, make_cameras(width=16, height=12)[0])
     assert not frame.alpha.any() and not frame.colour.any() and np.isinf(frame.depth).all()
     assert (frame.over() == 1).all()
+
+
+@pytest.mark.parametrize("diffuse", [False, True])
+def test_cells_of_floats_are_marched_as_they_are(diffuse):
+    snerg = make_snerg((44, 40, 57), diffuse)
+    floats = replace(snerg, cells=(snerg.cells / np.float32(255)).astype(np.float32) ** np.float32(1.3))
+    for camera in small_cameras((0, 0, 0))[1:4]:
+        got, truth = march(floats, camera), dense_march(floats, camera)
+        assert got.alpha.max() > 0.5 and np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
+        assert np.abs(got.over() - truth.over()).max() < 3e-4
+
+
+def test_the_network_at_every_sample():
+    """Table 1's ablation is another picture than the deferred one, and exact too."""
+    snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
+    for camera in small_cameras()[:4]:
+        got = march(snerg, camera, MarchSettings(per_sample_network=True))
+        truth = dense_march(snerg, camera, per_sample_network=True)
+        assert np.abs(got.over() - truth.over()).max() < 3e-4
+        assert np.abs(got.over() - march(snerg, camera).over()).max() > 0.005
+        assert np.abs(got.alpha - march(snerg, camera).alpha).max() < 1e-4
+
+
+def random_scene(draw: np.random.Generator, diffuse: bool, fill_holes: bool, above: bool) -> Snerg:
+    """Fog, clumps and holes; colours above their opacity where asked for."""
+    shape = tuple(int(n) for n in draw.integers(20, 50, 3))
+    alpha = draw.integers(0, 256, shape) * (draw.random(shape) < draw.choice([0.03, 0.3, 1.0])) * draw.choice([0.1, 1.0])
+    values = np.rint(draw.random((*shape, 8)) * alpha[..., None]).astype(np.uint8)
+    values[..., 7] = alpha
+    if above:
+        values[..., :7] = np.where(alpha[..., None] > 0, np.minimum(values[..., :7] + draw.integers(0, 2, (*shape, 7)), 255), 0)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(tuple(draw.normal(0, 1, 3)))
+    pose[:3, 3] = -pose[:3, :3] @ (np.array(shape) / 2) / 25
+    network = None if diffuse else random_network(int(draw.integers(1000)))
+    values = values[..., [0, 1, 2, 7]] if diffuse else values
+    return snerg_from_volume(values, network, grid_to_world=pose, voxel_size=1 / 25, fill_holes=fill_holes)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_pixel_is_off_by_more_than_the_tolerance(seed):
+    draw = np.random.default_rng(seed)
+    snerg = random_scene(draw, diffuse=seed % 2 == 0, fill_holes=seed % 3 == 0, above=seed % 4 == 1)
+    camera = make_cameras(size=2.0, width=24, height=18)[seed % 5]
+    for per_sample in (False, True):
+        truth = dense_march(snerg, camera, per_sample and snerg.network is not None)
+        for tolerance in (1e-3, 0.02, 0.2):
+            frame = march(snerg, camera, MarchSettings(tolerance, per_sample_network=per_sample))
+            for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.2, 0.9, 0.5)):
+                error = np.abs(np.clip(frame.over(background), 0, 1) - truth.over(background)).max()
+                assert error < tolerance + 3e-4
+
+
+def test_tolerance_follows_the_scene():
+    """A network that multiplies what it is given asks for more of the ray; colours above their opacity do, too."""
+    snerg = make_snerg((34, 30, 40), fog=False)
+    mild = replace(snerg, network=ViewNetwork(*(0.01 * a for a in snerg.network)))
+    strong = replace(snerg, network=ViewNetwork(*(3 * a for a in snerg.network)))
+    stops = [stop_for(0.01, scene, False) for scene in (mild, snerg, strong)]
+    assert 0.0098 < stops[0] <= 0.01 and stops[0] > 2 * stops[1] > 10 * stops[2]
+    bright = replace(snerg, cells=np.where(snerg.cells > 0, 255, snerg.cells[..., 7:]).astype(np.uint8))
+    assert excess(snerg) < 1.02 and excess(replace(bright, cells=bright.cells // np.array([1] * 7 + [2], np.uint8))) > 1.9
+
+
+@pytest.mark.parametrize("network", range(5))
+def test_no_network_is_steeper_than_its_bound(network):
+    draw = np.random.default_rng(network)
+    weights = random_network(network)
+    for low, high in ((np.array([-1.0] * 3 + [0.0] * 4), np.array([0.0] * 3 + [1.0] * 4)), (-np.ones(7), np.ones(7))):
+        x, change = draw.random((4000, 7)), 0.01 * draw.uniform(low, high, (4000, 7))
+        towards = draw.normal(size=(4000, 3))
+        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+        here, there = (view_residual(np, weights, v[:, :3], v[:, 3:], towards) for v in (x, x + change))
+        assert np.abs(there - here).max() < 0.01 * steepness(weights, low, high)
+
+
+def test_the_first_picture_is_a_small_one_and_the_last_is_whole():
+    snerg, camera = make_snerg((34, 30, 40)), small_cameras((0, 0, 0))[1].resized(50, 37)
+    told = []
+    first, last = progressive(snerg, camera, progress=lambda fraction, what: told.append(fraction))
+    assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, march(snerg, camera.resized(13, 10)).colour)
+    assert np.array_equal(last.colour, march(snerg, camera).colour) and np.array_equal(last.depth, march(snerg, camera).depth)
+    assert told == sorted(told) and told[-1] == pytest.approx(1)
+
+
+def test_a_march_stops_when_it_is_told_to():
+    """Within a few passes, not after the picture: the threads ask."""
+    snerg, camera = make_snerg((34, 30, 40), diffuse=True), small_cameras((0, 0, 0))[0].resized(1000, 1000)
+    began = time.perf_counter()
+    march(snerg, camera)
+    whole = time.perf_counter() - began
+
+    def stop(fraction: float, what: str) -> None:
+        raise Cancelled("Stopped.")
+
+    began = time.perf_counter()
+    with pytest.raises(Cancelled):
+        march(snerg, camera, progress=stop)
+    assert time.perf_counter() - began < max(0.6 * whole, 0.2)
+
+
+def test_every_pixel_is_in_a_tile():
+    for width, height in ((1, 1), (8, 8), (19, 9)):
+        pixels = tiled(width, height)
+        assert len(pixels) % 64 == 0 and {tuple(p) for p in pixels} == set(np.ndindex(width, height))
+        assert all(np.ptp(tile, axis=0).max() < 8 for tile in pixels.reshape(-1, 64, 2))
+
+
+def test_bundles_that_nothing_holds_together_are_marched_as_well():
+    """Rays in any order: those of a bundle may have nothing in common."""
+    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    origins, directions = (np.concatenate(both) for both in zip(*(c.rays() for c in small_cameras()), strict=True))
+    order = np.random.default_rng(0).permutation(len(origins))[:3001]
+    mixed, plain = (march_rays(snerg, origins[order], directions[order], MarchSettings(skip=skip)) for skip in (True, False))
+    assert np.abs(mixed.colour - plain.colour).max() < 1e-6 and np.abs(mixed.transmittance - plain.transmittance).max() < 1e-6
 
 
 def test_progress_can_cancel():
