@@ -2,57 +2,152 @@
 
 from __future__ import annotations
 
+import threading
+import traceback
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import bpy
+import numpy as np
 
-from ..core.errors import SnergError
+from ..core.capture.camera import Camera
+from ..core.errors import Cancelled, SnergError
 from ..core.export.scene import read_scene
-from ..core.grid.march import MarchSettings, march
+from ..core.grid.march import Frame, MarchSettings, progressive
 from ..core.grid.snerg import Snerg
+from ..core.jobs.runner import State, outcome
+from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated
-from ..snerg_addon.project import Project, project_of
-from .job_runner import has_needed, redraw
+from ..snerg_addon.project import Project
+from .job_runner import LongVerb, redraw
+
+INVISIBLE = 0.5 / 255  # half a level of the picture's 8 bits
 
 
-class SNERG_OT_preview(bpy.types.Operator):
+class SNERG_OT_preview(LongVerb, bpy.types.Operator):
     """Render the baked scene from the active camera into the image "SNeRG Preview", as the web page will show it"""
 
     bl_idname = "snerg.preview"
     bl_label = "Preview"
     bl_options = {"REGISTER"}
-    needs = "scene"
+    step, label, needs = "preview", "Rendering the preview", "scene"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """There must be a baked scene and a camera."""
-        if not has_needed(cls, context):
+        if not super().poll(context):
             return False
         if context.scene.camera is None:
             cls.poll_message_set("The scene has no active camera")
             return False
         return True
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """March here: it takes seconds, and needs only NumPy."""
-        scene, manager = context.scene, context.window_manager
-        manager.progress_begin(0, 1)
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """March in a thread: it needs only NumPy."""
+        scene = context.scene
+        camera = camera_from_blender(scene.camera, scene, evaluated(scene))
+        background = None if scene.snerg.transparent else tuple(scene.snerg.background)
+
+        def shown(frame: Frame) -> None:
+            pixels = frame.straight() if background is None else frame.over(background)
+            show(bpy.context, write_image(enlarged(pixels, camera.width, camera.height)))
+            redraw()
+
+        return Marching(project, camera, shown)
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """What was rendered."""
+        return "Rendered {width} x {height} pixels from {camera}".format(**result)
+
+
+class Marching:
+    """A preview under way in a thread of its own; whatever touches Blender happens in `poll`, so that it is seen as it grows finer.
+
+    shown: called with every picture, in the thread that polls.
+    """
+
+    def __init__(self, project: Project, camera: Camera, shown: Callable[[Frame], None]) -> None:
+        self.state: State = "running"
+        self.fraction, self.message = 0.0, "Reading the scene"
+        self.result: dict[str, Any] = {}
+        self.error = ""
+        self._project, self._camera, self._shown = project, camera, shown
+        self._frame: Frame | None = None
+        self._problem: Exception | None = None
+        self._stop, self._changed = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._march, daemon=True)
+        self._thread.start()
+
+    @property
+    def cancelling(self) -> bool:
+        """Told to stop, and not yet stopped."""
+        return self.state == "running" and self._stop.is_set()
+
+    def poll(self) -> bool:
+        """Show what is new; True while there is more to come."""
+        if self.state != "running":
+            return False
+        ended = not self._thread.is_alive()  # asked first: a last frame is there by then
+        self._changed.clear()
+        frame, self._frame = self._frame, None
+        if frame is not None and not self._stop.is_set():
+            self._shown(frame)
+        if not ended:
+            return True
+        self._end()
+        return False
+
+    def cancel(self) -> None:
+        """Stop within a few hundredths of a second."""
+        self._stop.set()
+
+    def wait(self, progress: Callable[[float, str], None] | None = None) -> dict[str, Any]:
+        """Until it is done; returns the result. Raises as Job.wait does."""
         try:
-            camera = camera_from_blender(scene.camera, scene, evaluated(scene))
-            snerg = loaded(project_of(scene))
-            frame = march(snerg, camera, MarchSettings(), lambda fraction, message: manager.progress_update(fraction))
-            pixels = frame.straight() if scene.snerg.transparent else frame.over(tuple(scene.snerg.background))
-            image = write_image(pixels)
-        except SnergError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            manager.progress_end()
-        show(context, image)
-        redraw()
-        self.report({"INFO"}, f"Rendered {camera.width} x {camera.height} pixels from {camera.name} into {image.name}")
-        return {"FINISHED"}
+            while self.poll():
+                if progress:
+                    progress(self.fraction, self.message)
+                self._changed.wait(0.2)
+        except BaseException:
+            self.cancel()
+            self._thread.join()
+            raise
+        return outcome(self.state, self.result, self.error)
+
+    def _march(self) -> None:
+        try:
+            for frame in progressive(loaded(self._project), self._camera, MarchSettings(INVISIBLE), self._tell):
+                self._frame = frame
+                self._changed.set()
+        except Exception as error:  # handed to the thread that polls
+            self._problem = error
+        self._changed.set()
+
+    def _tell(self, fraction: float, message: str) -> None:
+        self.fraction, self.message = fraction, message
+        if self._stop.is_set():
+            raise Cancelled("Stopped as you asked.")
+
+    def _end(self) -> None:
+        problem = self._problem
+        if problem is None:
+            self.state, self.fraction = "done", 1.0
+            self.result = {"width": self._camera.width, "height": self._camera.height, "camera": self._camera.name}
+        elif isinstance(problem, Cancelled):
+            self.state, self.error = "cancelled", str(problem)
+        else:
+            self.state, self.error = "failed", str(problem)
+            if not isinstance(problem, SnergError):
+                traceback.print_exception(problem)
+                self.error = f"The preview went wrong ({type(problem).__name__}: {problem}); Blender's console says where."
+
+
+def enlarged(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
+    """[h, w, C] to [height, width, C] by repeating pixels, so that a first small picture takes the place of the whole one."""
+    times = -(-height // pixels.shape[0])
+    return pixels.repeat(times, axis=0).repeat(times, axis=1)[:height, :width] if times > 1 else pixels
 
 
 _loaded: tuple[Path, int, Snerg] | None = None
