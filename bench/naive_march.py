@@ -1,0 +1,43 @@
+"""A straightforward vectorised march, to compare the real one with: every sample of every ray, all rays together, no skipping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from snerg.core.capture.camera import Camera
+from snerg.core.grid.approach import enter
+from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
+from snerg.core.grid.march import Composited, shade
+from snerg.core.grid.snerg import Snerg
+
+
+def naive_march(snerg: Snerg, camera: Camera) -> np.ndarray:
+    """[H, W, 3] over white: what one writes first in NumPy, float32, without skipping, early stop, batches or threads."""
+    origins, directions = camera.rays()
+    entry, direction, start, stop = enter(snerg, origins, directions, max(snerg.near, camera.near))
+    samples = np.ceil(stop - start - 0.5)
+    values = np.zeros((len(samples), snerg.cells.shape[-1] - 1), np.float32)
+    through = np.ones(len(samples), np.float32)
+    for k in range(int(samples.max())):
+        rays = np.flatnonzero(k < samples)
+        sample = trilinear(snerg, (entry[:, rays] + np.float32(k + 0.5) * direction[:, rays]).T)
+        values[rays] += through[rays, None] * sample[:, :-1]
+        through[rays] *= 1 - sample[:, -1]
+    found = Composited(values[:, :3], values[:, 3:], through, np.zeros_like(through))
+    colour = shade(snerg.network, found, directions @ snerg.view_rotation.T)
+    return np.clip(colour + through[:, None], 0, 1).reshape(camera.height, camera.width, 3)
+
+
+def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
+    """Points [N, 3] in voxels to values [N, C] in [0, 1]; nothing in blocks without a cell."""
+    block = np.clip((points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
+    cell = snerg.indirection[tuple(block.T)]
+    local = points - DATA_VOXELS * block + np.float32(0.5)
+    base = np.clip(local.astype(int), 0, CELL_VOXELS - 2)
+    fraction = local - base
+    result = np.zeros((len(points), snerg.cells.shape[-1]), np.float32)
+    for offset in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1) * (cell >= 0)
+        x, y, z = (base + np.array(offset)).T
+        result += weight[:, None].astype(np.float32) * snerg.cells[cell, x, y, z]
+    return result / np.float32(255 if snerg.cells.dtype == np.uint8 else 1)
