@@ -17,7 +17,8 @@ from ..capture.camera import Camera
 from ..errors import SnergError
 from ..files import json_bytes, new_folder
 from ..grid.snerg import Snerg
-from .scene import write_scene_files
+from .codecs import CodecSettings
+from .scene import PNG, copy_scene_files, is_float, write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
 SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
@@ -31,20 +32,35 @@ def write_bundle(
     folder: Path,
     single_file: bool = False,
     progress: Progress = lambda fraction, what: None,
+    codec: CodecSettings = PNG,
+    source: Path | None = None,
 ) -> dict[str, Any]:
     """Write index.html, viewer.js, cameras.json and scene/ (see scene.write_scene_files), whole or not at all.
 
     cameras: what the page lists to jump to; it opens at the first. single_file: index.html alone, with the rest inside it.
-    Returns {"files": how many, "bytes": in all}. Raises SnergError when `folder` cannot be written or the viewer is not built.
+    source: a folder that `snerg` was read from, whose files are taken as they are: a lossy codec loses nothing more.
+    Returns {"files": how many, "bytes": in all}. Raises SnergError when `folder` cannot be written, the viewer is not built, or
+    browsers cannot show the scene or decode the codec.
     """
+    check_shown(snerg, codec)
     page, script = viewer_files()
+
+    def fill(data: Path) -> None:
+        """cameras.json and scene/, what the page reads."""
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
+        (data / "scene").mkdir()
+        if source is None:
+            write_scene_files(snerg, data / "scene", progress, codec)
+        else:
+            copy_scene_files(source, data / "scene")
+
     with new_folder(folder) as temporary:
         if single_file:
-            write_single_file(snerg, cameras, temporary, page, script, progress)
+            write_single_file(page, script, temporary, fill)
         else:
             (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
             (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
-            write_data(snerg, cameras, temporary, progress)
+            fill(temporary)
         files = [path for path in temporary.rglob("*") if path.is_file()]
         return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
 
@@ -60,11 +76,13 @@ def viewer_files() -> tuple[str, str]:
         ) from error
 
 
-def write_data(snerg: Snerg, cameras: Sequence[Camera], folder: Path, progress: Progress) -> None:
-    """cameras.json and scene/, what the page reads."""
-    (folder / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
-    (folder / "scene").mkdir()
-    write_scene_files(snerg, folder / "scene", progress)
+def check_shown(snerg: Snerg, codec: CodecSettings) -> None:
+    """Raise SnergError, saying why, when a browser could not show the scene or decode the codec."""
+    if is_float(snerg):
+        raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")
+    if codec.name == "h264":
+        raise SnergError("Browsers decode no H.264 at full chroma, which features need; choose the codec avif for a page as small.")
+    codec.check()
 
 
 def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
@@ -76,12 +94,12 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
     }
 
 
-def write_single_file(snerg: Snerg, cameras: Sequence[Camera], folder: Path, page: str, script: str, progress: Progress) -> None:
-    """index.html with the script and, as base64, every file in it, written piece by piece."""
+def write_single_file(page: str, script: str, folder: Path, fill: Callable[[Path], None]) -> None:
+    """index.html with the script and, as base64, every file that `fill` writes, piece by piece."""
     before, between, after = split_page(page)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
-        write_data(snerg, cameras, data, progress)
+        fill(data)
         with open(folder / "index.html", "w", encoding="utf-8", newline="\n") as file:
             file.write(before)
             for tag in embedded(data):

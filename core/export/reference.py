@@ -28,8 +28,9 @@ from ..field.networks import SHAPES, ViewNetwork
 from ..files import json_bytes, new_folder, read_json
 from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
-from .codecs import MAX_ATLAS_CELLS, PLANES, atlas_blocks
-from .scene import read_picture, write_slices
+from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
+from .codecs import CodecSettings, read_picture
+from .scene import write_slices
 
 Progress = Callable[[float, str], None]
 EMPTY = 255  # an index of a block without a cell
@@ -58,11 +59,13 @@ def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, pr
     with new_folder(folder) as temporary:
         (temporary / "scene_params.json").write_bytes(json_bytes(scene_params(snerg, turned, camera)))
         (temporary / "atlas_indices.png").write_bytes(png_bytes(index_picture(turned)))
-        write_slices(turned, temporary, progress)
+        write_slices(turned, temporary, CodecSettings(), progress)
 
 
 def check_fits(snerg: Snerg) -> None:
     """Raise SnergError, saying why, when the published viewer could not hold the scene."""
+    if snerg.cells.dtype != np.uint8:
+        raise SnergError("The scene is not quantised, and the reference layout holds 8 bits a value: bake it again without 'float'.")
     if max(snerg.indirection.shape) > MAX_BLOCKS:
         most = MAX_BLOCKS * DATA_VOXELS
         raise SnergError(f"The scene is {max(snerg.shape)} voxels long; the reference layout holds {most}: bake at a lower resolution.")

@@ -1,8 +1,9 @@
-"""A baked scene on disk: scene.json, indirection.png and the atlas as PNGs. The web bundle holds the same files."""
+"""A baked scene on disk: scene.json, indirection.png and the atlas as pictures. The web bundle holds the same files."""
 
 from __future__ import annotations
 
-import json
+import re
+import shutil
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -11,61 +12,94 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.images import png_bytes, read_image
+from ..capture.images import png_bytes
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import ViewNetwork
 from ..files import json_bytes, new_folder, read_json
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
-from .codecs import PLANES, atlas_blocks, cells_from_slices, slices
+from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
+from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
 FORMAT = "snerg-scene"
-VERSION = 2
+VERSION = 3
+OLDER = (2,)  # versions that are read too: 2 knew PNG alone
 IN_FLIGHT = 4  # pictures that wait to be written: what is in memory beside the scene stays small (hard case 56)
+PNG = CodecSettings()
+PICTURE = re.compile(r"(rgba|rgb|alpha|feature)_\d{3}\.\w+")
+FLOAT = {"name": "float", "quality": None}  # cells that are not quantised: cells.npy
 Progress = Callable[[float, str], None]
 
 
-def write_scene(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None) -> None:
-    """Write a scene folder, whole or not at all. Raises SnergError when `folder` cannot be written."""
+def write_scene(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None, codec: CodecSettings = PNG) -> None:
+    """Write a scene folder, whole or not at all.
+
+    Raises SnergError when `folder` cannot be written, or the codec cannot hold the scene or is not installed.
+    """
     with new_folder(folder) as temporary:
-        write_scene_files(snerg, temporary, progress)
+        write_scene_files(snerg, temporary, progress, codec)
 
 
-def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None) -> None:
+def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None, codec: CodecSettings = PNG) -> None:
     """The files of a scene into a folder that exists.
 
-    scene.json: the numbers; indirection.png: see `indirection_picture`; rgba_NNN.png: RGB and alpha, and
-    feature_NNN.png: the four features, each with four Z planes of the atlas stacked (see codecs.slices).
+    scene.json: the numbers; indirection.png: see `indirection_picture`; KIND_NNN.SUFFIX: see codecs.pictures_of, each with
+    four Z planes of the atlas stacked (see atlas.slices), or for H.264 KIND.mp4, a plane a frame; cells.npy: the cells where
+    they are not quantised.
     """
-    (folder / "scene.json").write_bytes(json_bytes(scene_json(snerg)))
+    if is_float(snerg) and codec != PNG:
+        raise SnergError(f"The scene is not quantised, and {codec.name} holds 8 bits a value: bake it quantised, or store it as it is.")
+    (folder / "scene.json").write_bytes(json_bytes(scene_json(snerg, codec)))
     (folder / "indirection.png").write_bytes(png_bytes(indirection_picture(snerg.indirection)))
-    write_slices(snerg, folder, progress)
+    if is_float(snerg):
+        np.save(folder / "cells.npy", snerg.cells, allow_pickle=False)
+    else:
+        write_slices(snerg, folder, codec, progress)
 
 
-def write_slices(snerg: Snerg, folder: Path, progress: Progress) -> None:
-    """The atlas pictures, two at a time (zlib lets go of Python's lock)."""
+def is_float(snerg: Snerg) -> bool:
+    """Whether a scene is not quantised (table 1)."""
+    return snerg.cells.dtype != np.uint8
 
-    def write(index: int, picture: np.ndarray) -> None:
-        (folder / f"rgba_{index:03d}.png").write_bytes(png_bytes(picture[..., [0, 1, 2, -1]]))
-        if picture.shape[-1] == 8:
-            (folder / f"feature_{index:03d}.png").write_bytes(png_bytes(picture[..., 3:7]))
+
+def write_slices(snerg: Snerg, folder: Path, codec: CodecSettings, progress: Progress) -> None:
+    """The atlas pictures, two at a time (encoders let go of Python's lock)."""
+    codec.check()
+
+    def write(index: int, pictures: dict[str, np.ndarray]) -> None:
+        for kind, pixels in pictures.items():
+            (folder / f"{kind}_{index:03d}.{suffix(kind, codec)}").write_bytes(encode(kind, pixels, codec))
 
     blocks = atlas_blocks(len(snerg.cells))
     total = blocks[2] * CELL_VOXELS // PLANES
+    videos = _videos(folder, codec, snerg.cells.shape[-1])
     with ThreadPoolExecutor(2) as pool:
         jobs: deque[Future[None]] = deque()
         for index, picture in enumerate(slices(snerg.cells, blocks)):
             if len(jobs) == IN_FLIGHT:
                 jobs.popleft().result()
-            jobs.append(pool.submit(write, index, picture))
+            for plane in np.split(picture, PLANES) if videos else ():
+                frames = pictures_of(plane, codec)
+                for kind, video in videos.items():
+                    video.add(frames[kind])
+            pictures = {"alpha": picture[..., -1]} if videos else pictures_of(picture, codec)
+            jobs.append(pool.submit(write, index, pictures))
             progress(index / total, "Writing the atlas")
         for job in jobs:
             job.result()
+    for video in videos.values():
+        video.close()
     progress(1.0, "Writing the atlas")
 
 
-def scene_json(snerg: Snerg) -> dict[str, Any]:
+def _videos(folder: Path, codec: CodecSettings, channels: int) -> dict[str, VideoWriter]:
+    if codec.name != "h264":
+        return {}
+    return {kind: VideoWriter(folder / f"{kind}.mp4", codec) for kind in ("rgb", "feature")[: channels // 4]}
+
+
+def scene_json(snerg: Snerg, codec: CodecSettings = PNG) -> dict[str, Any]:
     """What scene.json holds."""
     network = snerg.network
     return {
@@ -76,6 +110,7 @@ def scene_json(snerg: Snerg) -> dict[str, Any]:
         "grid_to_world": snerg.grid_to_world.tolist(),
         "view_rotation": np.asarray(snerg.view_rotation).tolist(),
         "near": float(snerg.near),
+        "codec": FLOAT if is_float(snerg) else codec.to_json(),
         "cells": len(snerg.cells),
         "atlas_blocks": list(atlas_blocks(len(snerg.cells))),
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
@@ -99,17 +134,43 @@ def is_scene(folder: Path) -> bool:
 
 
 def read_scene(folder: Path) -> Snerg:
-    """Read a scene folder. Raises SnergError that names the file and what is wrong with it."""
+    """Read a scene folder, whatever its codec. Raises SnergError that names the file and what is wrong with it."""
+    path, value = _read_json(folder)
+    try:
+        return _read(folder, value)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise SnergError(f"{path} is damaged ({type(error).__name__}: {error}); export or bake the scene again.") from error
+
+
+def codec_of(folder: Path) -> CodecSettings:
+    """The codec of a scene folder's pictures; PNG where it is not quantised. Raises SnergError when it says none."""
+    path, value = _read_json(folder)
+    try:
+        return PNG if value["version"] in OLDER or value["codec"] == FLOAT else CodecSettings.from_json(value["codec"])
+    except (KeyError, TypeError) as error:
+        raise SnergError(f"{path} is damaged: it has no good codec; export or bake the scene again.") from error
+
+
+def is_current(folder: Path) -> bool:
+    """Whether a scene folder is of this version of the format, which is all that a page reads."""
+    return bool(_read_json(folder)[1]["version"] == VERSION)
+
+
+def copy_scene_files(folder: Path, to: Path) -> None:
+    """The files of a scene as they are, and no other that may lie beside them."""
+    for path in folder.iterdir():
+        if path.name in ("scene.json", "indirection.png") or PICTURE.fullmatch(path.name):
+            shutil.copyfile(path, to / path.name)
+
+
+def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:
     path = folder / "scene.json"
     value = read_json(path)
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         raise SnergError(f"{path} is not a SNeRG scene; import scenes of other tools with 'snerg import'.")
-    if value.get("version") != VERSION:
+    if value.get("version") not in (VERSION, *OLDER):
         raise SnergError(f"{path} has version {value.get('version')} of the format; this SNeRG reads {VERSION}: update it.")
-    try:
-        return _read(folder, value)
-    except (KeyError, TypeError, ValueError, json.JSONDecodeError) as error:
-        raise SnergError(f"{path} is damaged ({type(error).__name__}: {error}); export or bake the scene again.") from error
+    return path, value
 
 
 def _read(folder: Path, value: dict[str, Any]) -> Snerg:
@@ -117,15 +178,13 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
     blocks = blocks_of((x, y, z))
     picture = read_picture(folder / "indirection.png", (blocks[2] * blocks[1], blocks[0], 3)).astype(np.int32)
     indirection = (picture @ np.array([1, 256, 65536], np.int32) - 1).reshape(blocks[2], blocks[1], blocks[0]).transpose(2, 1, 0)
-    ax, ay, az = (int(n) for n in value["atlas_blocks"])
     network = value["network"]
-    cells = read_cells(folder, (ax, ay, az), int(value["cells"]), network is not None)
     return Snerg(
         grid_to_world=np.array(value["grid_to_world"], np.float64),
         voxel_size=float(value["voxel_size"]),
         shape=(x, y, z),
         indirection=np.ascontiguousarray(indirection),
-        cells=cells,
+        cells=_read_cells(folder, value, 4 if network is None else 8),
         network=None if network is None else ViewNetwork(*(np.array(network[k], np.float32) for k in ViewNetwork._fields)),
         view_rotation=np.array(value["view_rotation"], np.float64),
         near=float(value["near"]),
@@ -135,25 +194,52 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
     )
 
 
-def read_cells(folder: Path, blocks: tuple[int, int, int], count: int, features: bool) -> np.ndarray:
-    """Atlas cells from rgba_NNN.png and, where the scene has them, feature_NNN.png."""
-    size = (PLANES * blocks[1] * CELL_VOXELS, blocks[0] * CELL_VOXELS, 4)
-    if count > blocks[0] * blocks[1] * blocks[2]:
-        raise SnergError(f"{folder} says that it has {count} cells in an atlas of {blocks}; export it again.")
+def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> np.ndarray:
+    """Atlas cells [count, 32, 32, 32, channels] as their codec stored them."""
+    ax, ay, az = (int(n) for n in value["atlas_blocks"])
+    count = int(value["cells"])
+    codec = PNG.to_json() if value["version"] in OLDER else value["codec"]
+    if codec == FLOAT:
+        return _read_floats(folder / "cells.npy", (count, *(CELL_VOXELS,) * 3, channels))
+    if min(ax, ay, az) < 1 or max(ax, ay, az) > MAX_ATLAS_CELLS or not 0 <= count <= ax * ay * az:
+        raise SnergError(f"{folder} says that it has {count} cells in an atlas of {ax} x {ay} x {az}; export it again.")
+    read = picture_reader(folder, CodecSettings.from_json(codec), (ax, ay, az), channels)
+    return cells_from_slices(read, (ax, ay, az), count, channels)
+
+
+def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, int], channels: int) -> Callable[[int], np.ndarray]:
+    """A function from 0, 1, 2, ... to that slice of the atlas, uint8 [H, W, channels]. Raises SnergError as `read_scene` does."""
+    codec.check()
+    height, width = PLANES * blocks[1] * CELL_VOXELS, blocks[0] * CELL_VOXELS
+    empty = pictures_of(np.zeros((height, width, channels), np.uint8), codec)
+    shapes = {kind: pixels.shape for kind, pixels in empty.items()}
+    if codec.name != "h264":
+        return lambda index: pixels_of(
+            {kind: read_picture(folder / f"{kind}_{index:03d}.{suffix(kind, codec)}", shape) for kind, shape in shapes.items()}, codec
+        )
+    alpha = shapes.pop("alpha")
+    frames = {kind: read_video(folder / f"{kind}.mp4", (shape[0] // PLANES, width, 3)) for kind, shape in shapes.items()}
 
     def read(index: int) -> np.ndarray:
-        rgba = read_picture(folder / f"rgba_{index:03d}.png", size)
-        if not features:
-            return rgba
-        feature = read_picture(folder / f"feature_{index:03d}.png", size)
-        return np.concatenate([rgba[..., :3], feature, rgba[..., 3:]], axis=-1)
+        planes = np.split(read_picture(folder / f"alpha_{index:03d}.png", alpha), PLANES)
+        return np.concatenate(
+            [pixels_of({"alpha": plane} | {kind: next(video) for kind, video in frames.items()}, codec) for plane in planes]
+        )
 
-    return cells_from_slices(read, blocks, count, 8 if features else 4)
+    return read
 
 
-def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
-    """A PNG that must have exactly this shape. Raises SnergError naming the file when it has not."""
-    pixels = read_image(path)
-    if pixels.shape != shape:
-        raise SnergError(f"{path} is {pixels.shape}, not {shape}; the scene's folder is damaged: export it again.")
-    return pixels
+def _read_floats(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """cells.npy, float32 in [0, 1]; its header is read first (hard case 61)."""
+    try:
+        cells = np.load(path, mmap_mode="r", allow_pickle=False)
+        if cells.shape != shape or cells.dtype != np.float32:
+            raise ValueError(f"it is {cells.shape} {cells.dtype}, not {shape} float32")
+        cells = np.array(cells)
+    except FileNotFoundError as error:
+        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.") from error
+    except (OSError, ValueError, EOFError) as error:
+        raise SnergError(f"{path} is damaged ({error}); export the scene again.") from error
+    if not (cells.min(initial=0) >= 0 and cells.max(initial=0) <= 1):  # false for NaN as well
+        raise SnergError(f"{path} holds values outside 0 to 1; export the scene again.")
+    return cells

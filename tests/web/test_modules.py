@@ -33,9 +33,10 @@ def test_png_bytes_arrive_as_they_were_written(tmp_path: Path) -> None:
         "noise": draw.integers(0, 256, (37, 29, 4)),
         "faint": draw.integers(0, 256, (64, 32, 4)) * np.array([1, 1, 1, 0]) + draw.integers(0, 3, (64, 32, 1)) * np.array([0, 0, 0, 1]),
         "slope": np.add.outer(np.arange(40), np.arange(50))[..., None] * np.array([1, 2, 3, 1]) % 256,
+        "grey": draw.integers(0, 9, (20, 30, 1)),
         "colour": draw.integers(0, 4, (20, 30, 3)) + np.arange(30)[:, None],
     }.items():
-        Image.fromarray(pixels.astype(np.uint8)).save(tmp_path / f"{name}.png")
+        Image.fromarray(np.squeeze(pixels.astype(np.uint8))).save(tmp_path / f"{name}.png")
         height, width, channels = pixels.shape
         shown = node(f"""
             import {{ readFileSync }} from "node:fs";

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from scenes import make_cameras, make_snerg
+from snerg.core.capture.distortion import Distortion
 from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
+from snerg.core.export.codecs import CodecSettings
 from snerg.core.grid.march import march
 
 from .conftest import opened, picture
@@ -135,6 +138,7 @@ def damage_scene(key: str, value: object) -> Callable[[bytes], bytes]:
         ("scene/scene.json", damage_scene("cells", 10**9), '"cells"'),
         ("scene/scene.json", damage_scene("fill_holes", None), '"fill_holes"'),
         ("scene/scene.json", damage_scene("ndc", {"focal": [1, 1], "near": 1}), '"ndc"'),
+        ("scene/scene.json", damage_scene("codec", {"name": "h264", "quality": 90}), '"codec"'),
         ("scene/rgba_002.png", lambda data: data[: len(data) // 2], "cut short"),
         ("scene/rgba_002.png", lambda data: data[:60] + bytes(20) + data[80:], "cannot be read"),
         ("scene/feature_002.png", lambda data: b"<!doctype html>", "it is not a PNG"),
@@ -147,6 +151,43 @@ def test_a_damaged_file_is_named(page: Page, copied: Path, serve: Serve, name: s
     (copied / name).write_bytes(damage(data))
     problem = opened(page, serve(copied))
     assert problem and problem.startswith(f"The file {name} ") and words in problem
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "words"),
+    [
+        ("scene/rgb_001.avif", lambda data: data[: len(data) // 2], "damaged, or this browser knows no image/avif"),
+        ("scene/feature_001.avif", lambda data: b"", "damaged, or this browser knows no image/avif"),
+        ("scene/alpha_001.png", lambda data: data[: len(data) // 2], "cut short"),
+    ],
+)
+def test_a_damaged_picture_of_another_codec_is_named(
+    page: Page, tmp_path: Path, serve: Serve, name: str, damage: Callable[[bytes], bytes], words: str
+) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), (), tmp_path / "web", codec=CodecSettings("avif"))
+    path = tmp_path / "web" / name
+    path.write_bytes(damage(path.read_bytes()))
+    problem = opened(page, serve(tmp_path / "web"))
+    assert problem and problem.startswith(f"The file {name} ") and words in problem
+
+
+def test_a_browser_that_hides_canvases_says_so(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """Protection against fingerprinting gives noise in place of a canvas."""
+    page.add_init_script("""
+        const noise = (x, y, w, h) => new ImageData(new Uint8ClampedArray(4 * w * h).fill(9), w);
+        OffscreenCanvasRenderingContext2D.prototype.getImageData = noise;
+    """)
+    write_bundle(make_snerg(shape=(20, 20, 20)), (), tmp_path / "web", codec=CodecSettings("jpeg"))
+    problem = opened(page, serve(tmp_path / "web"))
+    assert problem and "fingerprinting" in problem
+
+
+def test_a_camera_whose_lens_bends_says_so(page: Page, tmp_path: Path, serve: Serve) -> None:
+    plain = make_cameras()[0]
+    bent = replace(plain, distortion=Distortion("opencv", (0.1,)), name="Phone")
+    write_bundle(make_snerg(shape=(20, 20, 20)), [plain, bent], tmp_path / "web")
+    assert opened(page, serve(tmp_path / "web")) is None
+    assert page.locator("#camera option").all_inner_texts() == ["Front", "Phone (lens not shown)"]
 
 
 def test_no_webgl(launch: Callable[..., Browser], made: Path, serve: Serve) -> None:

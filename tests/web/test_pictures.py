@@ -11,9 +11,22 @@ import pytest
 from playwright.sync_api import Page
 
 from oracle import dense_march
-from scenes import empty_snerg, make_cameras, make_forward, make_forward_cameras, make_frame, make_snerg, random_network, snerg_from_volume
+from scenes import (
+    empty_snerg,
+    looking,
+    make_cameras,
+    make_forward,
+    make_forward_cameras,
+    make_frame,
+    make_snerg,
+    random_network,
+    snerg_from_volume,
+)
 from snerg.core.capture.camera import Camera
+from snerg.core.errors import SnergError
 from snerg.core.export.bundle import write_bundle
+from snerg.core.export.codecs import CodecSettings
+from snerg.core.export.scene import read_scene, write_scene
 from snerg.core.grid.march import march
 from snerg.core.grid.snerg import Snerg
 
@@ -138,6 +151,64 @@ def test_thin_fog_arrives_exactly(page: Page, tmp_path: Path, serve: Serve, diff
     cameras = make_cameras((1.5, 1.0, 1.25), 2.0)
     write_bundle(snerg, cameras, tmp_path / "web")
     compare(page, serve(tmp_path / "web"), snerg, cameras[0], 0)
+
+
+@pytest.mark.hard_case(51, 58)
+@pytest.mark.parametrize("diffuse", [False, True], ids=["view-dependent", "diffuse"])
+@pytest.mark.parametrize("name", ["webp", "jpeg", "avif"])
+def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bool) -> None:
+    """The page shows what Python reads from the same files, but for decoders that round differently; empty stays empty."""
+    codec = CodecSettings(name, 60)
+    snerg = make_snerg(angles=TURNED, shape=(40, 45, 50), diffuse=diffuse)
+    write_bundle(snerg, make_cameras(), tmp_path / "web", single_file=diffuse, codec=codec)
+    write_scene(snerg, tmp_path / "scene", codec=codec)
+    back = read_scene(tmp_path / "scene")
+    address = (tmp_path / "web" / "index.html").as_uri() if diffuse else serve(tmp_path / "web")
+    camera = make_cameras()[0]
+    assert opened(page, f"{address}?camera=0&width={camera.width}&height={camera.height}") is None
+    shown = picture(page)
+    difference = np.abs(shown - march(back, camera).over())
+    assert difference.mean() < 0.6 / 255 and np.mean(difference.max(axis=-1) < 6 / 255) > 0.999
+    if codec.lossless:
+        assert np.abs(shown - dense_march(snerg, camera).over()).mean() < 0.5 / 255
+    else:
+        assert (shown[march(snerg, camera).alpha == 0] == 1).all(), "no haze"
+
+
+@pytest.mark.hard_case(54)
+def test_more_blocks_than_eight_bits_count(page: Page, tmp_path: Path, serve: Serve) -> None:
+    values = np.zeros((30 * 256 + 20, 12, 4, 4), np.uint8)
+    values[::3] = 60, 120, 30, 160
+    values[-60:] = 200, 20, 60, 220
+    values[:60] = 20, 20, 200, 220
+    values[300:7300] = 0
+    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    for index, at in enumerate((1.5, 75.3)):
+        pose = looking((at, -2.0, 0.8), (at, 0.06, 0.02))
+        camera = Camera(160, 90, (120, 120), (80, 45), pose, name="There")
+        write_bundle(snerg, [camera], tmp_path / str(index))
+        compare(page, serve(tmp_path / str(index)), snerg, camera, 0)
+        assert picture(page).std() > 0.05
+
+
+@pytest.mark.hard_case(55)
+def test_a_grid_of_more_blocks_than_a_device_holds_says_so(page: Page, tmp_path: Path, serve: Serve) -> None:
+    values = np.zeros((30 * 65, 4, 4, 4), np.uint8)
+    values[-2:] = 200
+    write_bundle(snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01), (), tmp_path / "web")
+    page.add_init_script(mocked_limit(64))
+    problem = opened(page, serve(tmp_path / "web"))
+    assert problem == "The scene's grid is too large for this device: 65 x 1 x 1 blocks, and it holds 64 a side."
+
+
+@pytest.mark.parametrize("name", ["h264", "float"])
+def test_what_browsers_do_not_show_is_refused(tmp_path: Path, name: str) -> None:
+    snerg = make_snerg((20, 20, 20))
+    if name == "float":
+        snerg = replace(snerg, cells=(snerg.cells / 255).astype(np.float32))
+    with pytest.raises(SnergError, match=r"Browsers decode no H.264|a web page holds 8 bits"):
+        write_bundle(snerg, (), tmp_path / "web", codec=CodecSettings("png" if name == "float" else name))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.hard_case(57)

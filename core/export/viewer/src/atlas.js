@@ -13,6 +13,7 @@ import {
   Vector3,
 } from "three";
 import { readFile } from "./files.js";
+import { decodeOpaque } from "./picture.js";
 import { decodePng } from "./png.js";
 import { Problem } from "./problem.js";
 import { CELL_VOXELS } from "./scene.js";
@@ -21,7 +22,13 @@ const PLANES = 4; // Z planes a picture
 const COARSE = 4; // texels along an axis of a coarse voxel, the unit of skipping within a cell
 const COARSE_CELL = CELL_VOXELS / COARSE;
 const COARSE_BYTES = COARSE_CELL ** 3;
-const PARALLEL = 4; // pictures on their way at a time
+const PARALLEL = 3; // slices on their way at a time
+const CODECS = {
+  png: {},
+  webp: { suffix: "webp", type: "image/webp", bounded: false },
+  jpeg: { suffix: "jpg", type: "image/jpeg", bounded: true },
+  avif: { suffix: "avif", type: "image/avif", bounded: true },
+};
 
 /**
  * How to hold that many cells: `pages` atlases of `blocks` cells along x, y and z, none over `limit` texels on a side.
@@ -50,7 +57,7 @@ function place({ blocks: [x, y], each }, i) {
   return [Math.floor(i / each), j % x, Math.floor(j / x) % y, Math.floor(j / (x * y))];
 }
 
-/** The scene's textures; `report(done, total)` hears of every picture that arrived. */
+/** The scene's textures; `report(done, total)` hears of every slice that arrived. */
 export class Atlas {
   constructor(renderer, scene) {
     const gl = renderer.getContext();
@@ -85,26 +92,53 @@ export class Atlas {
     return texture;
   }
 
-  /** Fetch, decode and upload every picture, a few at a time; each is let go of once it is on the card. */
+  /** Fetch, decode and upload every slice, a few at a time; each is let go of once it is on the card. */
   async load(folder, report) {
-    const slices = (this.scene.atlas_blocks[2] * CELL_VOXELS) / PLANES;
-    const jobs = Array.from({ length: slices * this.kinds.length }, (_, i) => [Math.floor(i / this.kinds.length), i % this.kinds.length]);
-    const total = jobs.length;
-    let done = 0;
+    const total = (this.scene.atlas_blocks[2] * CELL_VOXELS) / PLANES;
+    let [next, done] = [0, 0];
     const work = async () => {
-      for (let job = jobs.shift(); job; job = jobs.shift()) {
-        await this.loadPicture(folder, job[0], this.kinds[job[1]]);
+      while (next < total) {
+        const slice = next++;
+        const pictures = await this.read(folder, String(slice).padStart(3, "0"));
+        for (const kind of this.kinds) this.upload(kind, slice, pictures[kind]);
         report(++done, total);
       }
     };
     await Promise.all(Array.from({ length: PARALLEL }, work));
   }
 
-  async loadPicture(folder, slice, kind) {
-    const name = `${folder}/${kind}_${String(slice).padStart(3, "0")}.png`;
+  /** A slice of each texture, four bytes a voxel, from the pictures that the scene's codec made of it (core/export/codecs.py). */
+  async read(folder, number) {
+    const [width, height] = [this.scene.atlas_blocks[0] * CELL_VOXELS, PLANES * this.scene.atlas_blocks[1] * CELL_VOXELS];
+    const file = async (kind, suffix) => {
+      const name = `${folder}/${kind}_${number}.${suffix}`;
+      return [await readFile(name), name];
+    };
+    const png = async (kind, channels) => decodePng(...(await file(kind, "png")), width, height, channels);
+    const { suffix, type, bounded } = CODECS[this.scene.codec.name];
+    if (!suffix) return Object.fromEntries(await Promise.all(this.kinds.map(async (kind) => [kind, await png(kind, 4)])));
+    const opaque = async (kind, rows) => decodeOpaque(...(await file(kind, suffix)), width, rows, type);
+    const view = this.scene.network !== null;
+    const [alpha, rgb, feature] = await Promise.all([png("alpha", 1), opaque("rgb", height), view ? opaque("feature", 2 * height) : null]);
+    const pixels = width * height;
+    for (let i = 0; i < pixels; i++) rgb[4 * i + 3] = alpha[i];
+    if (view) for (let i = 0; i < pixels; i++) feature[4 * i + 3] = feature[4 * (pixels + i) + 1];
+    if (bounded) {
+      // What is empty stays empty: a lossy codec makes a haze of it.
+      for (let i = 0; i < pixels; i++) {
+        for (let j = 4 * i; j < 4 * i + 4; j++) {
+          if (rgb[j] > alpha[i]) rgb[j] = alpha[i];
+          if (view && feature[j] > alpha[i]) feature[j] = alpha[i];
+        }
+      }
+    }
+    const bytes = (data) => new Uint8Array(data.buffer, 0, 4 * pixels);
+    return { rgba: bytes(rgb), feature: view ? bytes(feature) : null };
+  }
+
+  upload(kind, slice, pixels) {
     const [bx, by] = this.scene.atlas_blocks;
     const [width, height] = [bx * CELL_VOXELS, by * CELL_VOXELS];
-    const pixels = await decodePng(await readFile(name), name, width, PLANES * height, 4);
     const source = texture3D(pixels, [width, height, PLANES], { format: RGBAFormat, type: UnsignedByteType, filter: LinearFilter });
     const words = new Uint32Array(pixels.buffer, 0, pixels.length / 4);
     const layer = Math.floor((slice * PLANES) / CELL_VOXELS);

@@ -65,7 +65,7 @@ async function load(renderer) {
   const [scene, cameras] = await Promise.all([readScene(`${SCENE}/scene.json`), readCameras("cameras.json")]);
   const cells = await readIndirection(`${SCENE}/indirection.png`, scene);
   const atlas = new Atlas(renderer, scene);
-  await atlas.load(SCENE, (done, total) => progress(done / total, `Loading the scene: ${done} of ${total} pictures`));
+  await atlas.load(SCENE, (done, total) => progress(done / total, `Loading the scene: ${done} of ${total} slices`));
   const textures = { ...atlas.pages, skip: atlas.skipTextures(), indirection: atlas.indirectionTexture(cells) };
   return { scene, cameras, textures, bytes: atlas.bytes };
 }
@@ -109,9 +109,12 @@ function chosen(cameras, text) {
   return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
 }
 
+/** The page draws straight lines straight: it says so where a camera's lens does not. */
+const labelOf = (camera) => (camera.distortion ? `${camera.name} (lens not shown)` : camera.name);
+
 function bar(view, painter, cameras, jump) {
   const select = find("camera");
-  select.replaceChildren(...cameras.map((camera, i) => new Option(camera.name, String(i))));
+  select.replaceChildren(...cameras.map((camera, i) => new Option(labelOf(camera), String(i))));
   find("cameras").hidden = cameras.length === 0;
   select.onchange = () => jump(Number(select.value));
   const step = (by) => cameras.length && jump((Math.max(Number(select.value), 0) + by + cameras.length) % cameras.length);

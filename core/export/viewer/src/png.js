@@ -2,9 +2,10 @@
 // fingerprinting; values premultiplied with a low alpha would not survive any of it.
 import { EXPORT_AGAIN, Problem } from "./problem.js";
 
+const COLOUR_TYPES = { 1: 0, 3: 2, 4: 6 };
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 
-/** The pixels, row by row, of an 8-bit PNG that must have exactly this size and number of channels (3 or 4). */
+/** The pixels, row by row, of an 8-bit PNG that must have exactly this size and number of channels (1, 3 or 4). */
 export async function decodePng(bytes, name, width, height, channels) {
   const damaged = (why) => new Problem(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
   if (SIGNATURE.some((value, i) => bytes[i] !== value)) throw damaged("it is not a PNG");
@@ -20,7 +21,7 @@ export async function decodePng(bytes, name, width, height, channels) {
     if (type === "IDAT") parts.push(body);
     at += 12 + length;
   }
-  const expected = [width, height, 8, channels === 4 ? 6 : 2, 0, 0, 0];
+  const expected = [width, height, 8, COLOUR_TYPES[channels], 0, 0, 0];
   if (!header || expected.some((value, i) => header[i] !== value)) {
     throw damaged(`it is not the picture of ${width} x ${height} pixels and ${channels} channels that belongs here`);
   }

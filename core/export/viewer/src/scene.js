@@ -5,6 +5,7 @@ import { EXPORT_AGAIN, Problem } from "./problem.js";
 
 export const DATA_VOXELS = 30; // a macroblock's own voxels along an axis
 export const CELL_VOXELS = 32; // with the apron, as stored in the atlas
+const PICTURES = ["png", "webp", "jpeg", "avif"]; // codecs that browsers know
 const NETWORK_SHAPES = { weights_0: [34, 16], bias_0: [16], weights_1: [16, 16], bias_1: [16], weights_2: [16, 3], bias_2: [3] };
 
 const isArray = (value, shape) =>
@@ -19,7 +20,7 @@ export async function readScene(name) {
   if (scene === null || typeof scene !== "object" || scene.format !== "snerg-scene") {
     throw new Problem(`The file ${name} is damaged: it does not describe a SNeRG scene. ${EXPORT_AGAIN}`);
   }
-  if (scene.version !== 2) {
+  if (scene.version !== 3) {
     throw new Problem(`The file ${name} has version ${scene.version} of the format, which this viewer does not read. ${EXPORT_AGAIN}`);
   }
   const triple = (value) => Array.isArray(value) && value.length === 3 && value.every(isCount);
@@ -30,6 +31,7 @@ export async function readScene(name) {
     grid_to_world: isArray(scene.grid_to_world, [4, 4]),
     view_rotation: isArray(scene.view_rotation, [3, 3]),
     near: Number.isFinite(scene.near),
+    codec: PICTURES.includes(scene.codec?.name),
     atlas_blocks: triple(scene.atlas_blocks),
     cells: Number.isSafeInteger(scene.cells) && scene.cells >= 0 && scene.cells <= bx * by * bz,
     network_transmittance: Number.isFinite(scene.network_transmittance),
