@@ -290,3 +290,135 @@ def test_a_diffuse_scene_is_not_refined(tmp_path):
     snerg = bake(Ball(), BOX, (), BakeSettings(32, samples=1))
     same, report = refine(snerg, read_dataset(make_dataset(tmp_path / "data")))
     assert same is snerg and "diffuse" in report["skipped"] and snerg.cells.shape[-1] == 4
+
+
+def test_a_voxel_size_takes_the_place_of_the_resolution():
+    box = Box.axis_aligned([-1, -1, -1], [1, 0.5, 0.2])
+    by_size, by_count = bake(Ball(), box, (), BakeSettings(voxel_size=0.05)), bake(Ball(), box, (), BakeSettings(40))
+    assert by_size.shape == by_count.shape == (42, 32, 26) and np.array_equal(by_size.cells, by_count.cells)
+    with pytest.raises(SnergError, match=r"at least 0\.000488"):
+        bake(Ball(), box, (), BakeSettings(voxel_size=1e-6))
+
+
+@pytest.mark.hard_case(57)
+def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
+    from snerg.core.grid import memory
+
+    def fits(resolution: int) -> None:
+        lattice = Lattice.inside(BOX, 2 / resolution)
+        memory.check_fits(Ball(), BOX, lattice, 8)
+
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
+    with pytest.raises(SnergError, match=r"2000 voxels.*GB.*choose at most (\d+)") as told:
+        fits(2000)
+    most = int(str(told.value).split()[-1].rstrip("."))
+    fits(most)
+    with pytest.raises(SnergError):
+        fits(most + 40)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 2**20)
+    with pytest.raises(SnergError, match="close other programs"):
+        fits(2000)
+
+
+def test_the_estimate_of_blocks_is_near_what_is_baked():
+    from snerg.core.grid.memory import blocks_met, full_points
+
+    for resolution in (90, 200):
+        lattice = Lattice.inside(BOX, 2 / resolution)
+        found, baked = blocks_met(full_points(Ball(), BOX), lattice), len(bake(Ball(), BOX, (), BakeSettings(resolution, samples=1)).cells)
+        assert 0.9 * baked <= found <= 1.4 * baked
+
+
+def test_this_machine_says_what_memory_it_has():
+    from snerg.core.grid.memory import available_bytes
+
+    free = available_bytes()
+    assert free is None or 2**26 < free < 2**45
+
+
+@pytest.mark.hard_case(52)
+def test_what_adds_up_is_kept_and_what_does_not_is_told():
+    """100 voxels just under a threshold of 0.005 are 39% opaque, at any voxel size; nothing of a ray's light is lost untold."""
+
+    class Fog(Ball):
+        def query(self, points):
+            density = np.full(len(points), self.density, np.float32)
+            return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
+
+    camera = camera_at((0, -3, 0), 8).resized(8, 8)
+    for opacity in (0.0045, 0.0009, 0.00005):  # of a voxel
+        snerg = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, samples=1))
+        closed = -np.expm1(-opacity * 100)
+        got = march(snerg, camera).alpha[4, 4]
+        assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else snerg.about["bake"]["opacity_lost_at_most"])
+        if opacity < 0.0005:
+            assert len(snerg.cells) == 0 and closed <= snerg.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
+
+
+def test_more_samples_are_taken_where_they_help():
+    """A pattern finer than a voxel needs several; a smooth one does not, and blurring it is no better."""
+
+    class Rods(Ball):
+        def query(self, points):
+            inside = np.linalg.norm(points[:, :2] * 16 - np.round(points[:, :2] * 16), axis=-1) < 0.25
+            return np.where(inside, 30.0, 0).astype(np.float32), *super().query(points)[1:]
+
+    fine, smooth = (bake(field, BOX, (), BakeSettings(20)).about["bake"] for field in (Rods(), Ball(radius=5.0, density=3.0)))
+    assert fine["samples"] > 1 and smooth["samples"] == 1
+    errors = {line["samples"]: line["error"] for line in fine["samples_measured"]}
+    assert errors[fine["samples"]] < 0.9 * errors[1]
+
+
+def test_what_is_left_out_for_comparison():
+    ball, cameras = Ball(network=random_network(3)), (camera_at((3, 0, 0)),)
+    plain = bake(ball, BOX, cameras, BakeSettings(40, samples=2))
+    whole = bake(ball, BOX, cameras, BakeSettings(40, samples=2, visibility=False))
+    assert (whole.cells[..., -1] > 0).sum() > 1.3 * (plain.cells[..., -1] > 0).sum()
+    exact = bake(ball, BOX, cameras, BakeSettings(40, samples=2, quantise=False))
+    assert exact.cells.dtype == np.float32 and np.abs(exact.cells - plain.cells / np.float32(255)).max() < 1.01 / 255
+    diffuse = bake(ball, BOX, cameras, BakeSettings(40, samples=2, network=False))
+    assert diffuse.network is None and np.array_equal(diffuse.cells, plain.cells[..., [0, 1, 2, 7]])
+
+
+@pytest.mark.hard_case(47, 59)
+def test_weights_that_are_not_finite_are_named():
+    with pytest.raises(SnergError, match="table_3"):
+        bake(Ball(params={"table_3": np.array([0.0, np.nan])}), BOX, (), BakeSettings(32))
+    bad = random_network()._replace(bias_1=np.full(16, np.nan, np.float32))
+    with pytest.raises(SnergError, match=r"view\.bias_1"):
+        bake(Ball(network=bad), BOX, (), BakeSettings(32))
+
+
+@pytest.mark.hard_case(6)
+def test_far_from_the_origin_the_bake_is_the_same():
+    from scenes import rotation
+
+    baked = []
+    for at in (np.zeros(3), np.array([2e5, -1e5, 3e5])):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), at
+        ball = Ball(centre=at, domain=Domain.around(at - 1, at + 1))
+        baked.append(bake(ball, Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=2)))
+    assert np.array_equal(baked[0].indirection, baked[1].indirection)
+    assert (baked[0].cells != baked[1].cells).mean() < 1e-3
+
+
+def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
+    """Against points, close together, of every occupied cell; in a box turned and shifted against the cells."""
+    from scenes import rotation
+    from snerg.core.grid.occupancy import may_hold
+
+    draw = np.random.default_rng(0)
+    occupied = np.zeros((128,) * 3, bool)
+    occupied[tuple(draw.integers(20, 100, (40, 3)).T)] = True
+    ball = Ball()
+    object.__setattr__(ball, "occupancy", occupied.reshape(-1))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), (0.1, 0.0, -0.1)
+    for resolution in (100, 1500):
+        lattice = Lattice.inside(Box(pose, np.array([1.0, 1.2, 0.9])), 1.2 / resolution)
+        found = may_hold(ball, lattice)
+        points = ((np.argwhere(occupied)[:, None] + draw.random((40, 300, 3))) / 64 - 1).reshape(-1, 3)
+        voxels = (points - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / lattice.voxel_size
+        voxels = voxels[((voxels >= 0) & (voxels < lattice.shape)).all(axis=-1)]
+        assert len(voxels) and found[tuple((voxels // 30).astype(int).T)].all() and found.mean() < 0.7
