@@ -60,7 +60,7 @@ class PackedScheme:
         self.occupied = self.occupancy.occupied
         self.ends = RayEnds(pool)
         self.coarse_share = coarse_share(settings)
-        self.most_rays = max(settings.samples // 8, 64)
+        self.most_rays = max(settings.samples // 4, 64)
         self.samples_per_ray = 32.0
         self._inputs = jax.jit(partial(field_inputs, jnp, settings.family))
         self._outputs = jax.jit(partial(field_outputs, jnp, settings.family))

@@ -41,7 +41,7 @@ class TrainSettings:
     sparsity: weight of the Cauchy loss (eq. 8; c = 1/2), averaged over samples as the reference does, 1e-5 (ours: the packed
         samples are those of occupied cells alone; section 4.3: 1e-4, on samples of equal spacing). alpha: weight of the squared
         error of alpha, for images with alpha, 0.1 (ours; the paper has none).
-    rate, final_rate: of Adam, falling log-linearly, 4e-2 to 8e-4 (ours; section 6: 2e-3 to 2e-5). network_rate: factor on the
+    rate, final_rate: of Adam, falling log-linearly, 2e-2 to 3e-3 (ours; section 6: 2e-3 to 2e-5). network_rate: factor on the
         networks beside a hash table, 1 (ours). beta_2: 0.99 (ours; JAXNeRF has Adam's 0.999). warm_up: steps in which the rate
         rises from a tenth of itself, 64 (ours; section 6: 2500, from 2e-4). clip_value, clip_norm: gradients are cut off at the
         one and then scaled to the other, None (ours; section 6: 0.01 each).
@@ -67,8 +67,8 @@ class TrainSettings:
     density_noise: float = 0.0
     sparsity: float = 1e-5
     alpha: float = 0.1
-    rate: float = 4e-2
-    final_rate: float = 8e-4
+    rate: float = 2e-2
+    final_rate: float = 3e-3
     network_rate: float = 1.0
     beta_2: float = 0.99
     warm_up: int = 64
