@@ -22,12 +22,14 @@ def cause(loss_of: Loss, params: Any, arrays: dict[str, Any]) -> str:
             return f"the rays ({name}) are not finite; look for a broken pose or lens in the dataset"
     if broken := not_finite(params):
         return f"{broken} has values that are not finite; go on from an earlier state, and {SLOWER}"
-    (loss, told), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, arrays)
+    (loss, told), gradient = jax.jit(jax.value_and_grad(loss_of, has_aux=True))(params, arrays)  # as in the step
     if not finite(told["error"]):
         return f"the colours that the network gives are not finite, of finite parameters; {SLOWER}"
     if not finite(loss):
         return f"the sparsity or alpha loss is not finite although the colours are; lower the densities, or {SLOWER}"
-    return f"the gradient of {not_finite(gradient) or 'the parameters'} is not finite; {SLOWER}"
+    if broken := not_finite(gradient):
+        return f"the gradient of {broken} is not finite; {SLOWER}"
+    return f"nothing of the loss is, but the step made of it is not finite; {SLOWER}"
 
 
 def not_finite(tree: Any) -> str | None:

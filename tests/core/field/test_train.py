@@ -261,6 +261,7 @@ def test_the_cause_of_a_broken_step_is_named(views):
     assert cause(trainer.scheme.loss, {**params, "view": view}, arrays).startswith("the view-dependence network")
     huge = {**params, "field": {**params["field"], "weights_0": np.full_like(params["field"]["weights_0"], 1e30)}}
     assert "lower the learning rate" in cause(trainer.scheme.loss, huge, arrays)
+    assert "the step made of it" in cause(trainer.scheme.loss, params, arrays)  # nothing is wrong with any of them
 
 
 @pytest.mark.hard_case(27)
