@@ -24,7 +24,9 @@ from .tolerance import stop_for
 from .walk import Gathered, Rays, Walk
 
 Progress = Callable[[float, str], None]
-SHARE = 32768  # rays that a thread prepares, or shades, at a time
+SHARE = (
+    16384  # rays that a thread prepares, or shades, at a time; BLAS would take threads of its own, and keep them busy, for twice as many
+)
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
 TICK_SECONDS = 0.03  # between two calls of `progress`
 FIRST = 4  # how many times smaller, each way, the first picture is
