@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn, TextIO
 
-from . import verbs
+from . import predict, verbs
 from .capture.dataset import DatasetOptions
 from .errors import Cancelled, SnergError
 from .export.codecs import SUFFIXES, CodecSettings
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.", file=sys.stderr)
         return EXIT_ERROR
     progress.end()
-    print(json.dumps(result, allow_nan=False) if options.json else table(result))
+    print(json.dumps(result, allow_nan=False) if options.json else options.show(result))
     return 0
 
 
@@ -74,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
         sub = subparsers.add_parser(name, help=about, description=about[0].upper() + about[1:] + ".")
         sub.add_argument("--json", action="store_true", help="print one JSON object as the last line of standard output")
         sub.add_argument("--job", action="store_true", help=argparse.SUPPRESS)
-        sub.set_defaults(work=work)
+        sub.set_defaults(work=work, show=table)
         return sub
 
     train = verb("train", "train a field on a dataset", _train)
@@ -143,6 +143,10 @@ def parser() -> argparse.ArgumentParser:
     bundle.add_argument("--cameras", type=Path, metavar="FILE", help="a transforms file whose cameras the page lists")
     bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     _storing(bundle, "the scene's own")
+
+    called = verb("effects", "say which optional effects a scene calls for, and why", lambda o, p: predict.effects(o.path, p))
+    called.add_argument("path", type=Path, metavar="PATH")
+    called.set_defaults(show=predict.effects_text)
 
     about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
     about.add_argument("path", type=Path, nargs="?", metavar="PATH")

@@ -181,7 +181,8 @@ def bake_field(
     settings = BakeSettings(resolution=resolution, samples=samples)
     snerg = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
     known = trained(field.about)
-    snerg = replace(snerg, about={**snerg.about, "trained": known})
+    decided = {"decisions": field.about.get("decisions", [])}
+    snerg = replace(snerg, about={**snerg.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()

@@ -17,7 +17,7 @@ from ..field.checkpoint import flatten
 from ..field.field import Field
 from ..files import json_bytes
 from ..progress import within
-from .blocks import grow, number, reach, renumbered
+from .blocks import counts, grow, number, reach, renumbered
 from .box import Box
 from .kept import Kept
 from .lattice import FINEST, Lattice
@@ -97,9 +97,11 @@ def bake(
     clock.lap("occupancy")
     indirection = number(reach(matter.bits, matter.indirection))
     bits = grow(renumbered(matter.bits, matter.indirection, indirection), indirection)
+    voxels: dict[str, int | None] = {"held": int(counts(bits).sum()), "seen": None}
     if cameras and settings.visibility and len(bits):
         seen = visible_voxels(matter, lattice, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
         bits &= renumbered(seen, matter.indirection, indirection)
+        voxels["seen"] = int(counts(bits).sum())
     clock.lap("visibility")
     samples, evidence = settings.samples, None
     if samples == AUTO:
@@ -122,6 +124,7 @@ def bake(
         "seconds": clock.laps,
         "blocks": len(cells),
         "blocks_in_all": indirection.size,
+        "voxels": voxels,
         "samples": samples,
         "opacity_lost_at_most": round(matter.lost, 4),
     }
