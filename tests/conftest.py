@@ -10,6 +10,11 @@ import pytest
 
 from scenes import make_dataset
 
+# Trainers with the same settings compile the same step: keep what was compiled, for processes that tests start too.
+COMPILED = Path(__file__).resolve().parent.parent / "build" / "compiled"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--list-hard-cases", action="store_true", help="list which tests cover which hard cases, and run none")

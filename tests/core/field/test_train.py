@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import jax
@@ -25,6 +26,7 @@ from snerg.core.field.log import read_log
 from snerg.core.field.networks import HashFamily, MlpFamily, init_field
 from snerg.core.field.packed import Batch
 from snerg.core.field.render import render_field
+from snerg.core.field.sampling import Domain, hull
 from snerg.core.field.settings import TrainSettings
 from snerg.core.field.train import Trainer, decibels, train
 from snerg.core.field.trust import cause
@@ -32,6 +34,21 @@ from snerg.core.study.metrics import psnr
 
 FAMILY = HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
 SETTINGS = TrainSettings(family=FAMILY, samples=4096, spacing=2 / 96, seconds=None, steps=40)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def carved_once() -> Iterator[None]:
+    """The hull of the same views is the same: carving it for every trainer would take most of these tests' time."""
+    known: dict[bytes, tuple[Domain, np.ndarray]] = {}
+
+    def kept(*of: object) -> tuple[Domain, np.ndarray]:
+        key = pickle.dumps(of)
+        domain, alive = known[key] if key in known else known.setdefault(key, hull(*of))
+        return domain, alive.copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("snerg.core.field.train.hull", kept)
+        yield
 
 
 @pytest.fixture(scope="module")
