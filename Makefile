@@ -13,7 +13,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train test test-slow lint format extension clean python
+.PHONY: setup demo bench-train bench-estimate test test-slow lint format extension clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -45,6 +45,10 @@ demo: setup
 # DATA=FOLDER: with lego400, fern and fox (default: $SNERG_DATA). ROWS=lego-2,fern: only those.
 bench-train: setup
 	$(PY) bench/train.py $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
+
+# FIELDS="FIELD ...": of which to compare what is said beforehand with what happens (default: those of bench-train).
+bench-estimate: setup
+	$(PY) bench/estimate.py $(FIELDS)
 
 test: setup
 	$(PY) -m pytest

@@ -1,14 +1,21 @@
-"""Which effects a path calls for: `snerg effects`."""
+"""What a path calls for, and what the next stage will take: `snerg effects` and `snerg estimate`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from .capture.dataset import read_dataset
+from .capture.dataset import DatasetOptions, read_dataset
 from .describe import Result, any_field, any_scene, kind_of
+from .errors import SnergError, needs_jax
 from .export.scene import PNG, codec_of, is_float, is_scene
+from .field.settings import TrainSettings
+from .grid.bake import BakeSettings
+from .grid.box import Box
 from .progress import Progress, silent
 from .study.effects import Effect, of_dataset, of_field, of_scene
+
+USUAL = BakeSettings()
+EIGHTH = DatasetOptions()
 
 
 def effects(path: Path, progress: Progress = silent) -> Result:
@@ -41,3 +48,35 @@ def effects_text(result: Result) -> str:
             f"    costs: {value['costs']} Left out, it saves: {value['saves']}",
         ]
     return "\n".join(lines)
+
+
+def estimate(
+    path: Path,
+    training: TrainSettings,
+    settings: BakeSettings = USUAL,
+    box: Path | None = None,
+    refine: bool = True,
+    size: tuple[int, int] = (800, 800),
+    options: DatasetOptions = EIGHTH,
+) -> Result:
+    """What training a dataset, or baking, exporting and previewing a field will take on this machine (JAX).
+
+    Raises SnergError when the path is neither, or the field cannot be baked.
+    """
+    kind = kind_of(path)
+    if kind not in ("dataset", "field", "checkpoint"):
+        raise SnergError(f"{path} is a {kind}, which is baked already; give a dataset or a field.")
+    with needs_jax():
+        import jax  # noqa: F401  # what is timed is compiled
+    if kind == "dataset":
+        from .study.estimate import training as train
+
+        return {"kind": kind, "path": str(path), **train(read_dataset(path, "train", options), training)}
+    from .study.estimate import estimate as bake
+    from .study.survey import survey
+
+    field = any_field(path)
+    volume = Box.read(box) if box is not None else field.domain.world_box()
+    looked = survey(field)
+    told = bake(looked, volume, settings, refine, size)
+    return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}

@@ -26,25 +26,26 @@ def check_fits(field: Field, box: Box, lattice: Lattice, voxel_bytes: int, avail
     with every block full is not looked into.
     """
     available = available_bytes() if available is None else available
-    dense = _bytes(int(np.prod(lattice.blocks)), voxel_bytes)
+    dense = bytes_needed(int(np.prod(lattice.blocks)), voxel_bytes)
     if available is None or dense <= available:
         return dense
     points = full_points(field, box)
-    needed = _bytes(blocks_met(points, lattice), voxel_bytes)
+    needed = bytes_needed(blocks_met(points, lattice), voxel_bytes)
     if needed <= available:
         return needed
     low, high = 1, max(lattice.shape)  # the largest that fits lies between
     while high - low > 1:
         middle = (low + high) // 2
         tried = Lattice.inside(box, float(box.size.max()) / middle)
-        low, high = (middle, high) if _bytes(blocks_met(points, tried), voxel_bytes) <= available else (low, middle)
+        low, high = (middle, high) if bytes_needed(blocks_met(points, tried), voxel_bytes) <= available else (low, middle)
     gigabytes = f"about {needed / 2**30:.1f} GB of memory, and {available / 2**30:.1f} GB are free"
     if low < 2:
         raise SnergError(f"Baking needs {gigabytes}; close other programs, or make the box smaller.")
     raise SnergError(f"A bake of {max(lattice.shape) - 2} voxels along the longest side needs {gigabytes}; choose at most {low}.")
 
 
-def _bytes(blocks: int, voxel_bytes: int) -> int:
+def bytes_needed(blocks: int, voxel_bytes: int) -> int:
+    """What a bake of so many blocks takes at its peak, from the bytes of a voxel of the atlas."""
     return WORKING + int(blocks * CELL_VOXELS**3 * voxel_bytes * BESIDE)
 
 

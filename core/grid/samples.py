@@ -38,6 +38,11 @@ def choose_samples(
         return 1, []
     some = np.sort(rng.choice(len(row), min(len(row), RAYS), replace=False))
     start = places_of(indirection)[rows[row[some]]] * DATA_VOXELS + np.stack(local, axis=-1)[some]
+    return worth(field, lattice, start, rng, seed)
+
+
+def worth(field: Field, lattice: Lattice, start: np.ndarray, rng: np.random.Generator, seed: int) -> tuple[int, list[dict[str, Any]]]:
+    """`choose_samples` by rays that start at voxels [N, 3] of the lattice."""
     direction = rng.normal(size=start.shape)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     truth = composited(*field_along(field, lattice, start, direction))

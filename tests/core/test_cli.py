@@ -45,7 +45,7 @@ def test_people_get_a_table(scene, capsys):
 
 
 def test_every_verb_has_help(capsys):
-    for verb in ("train", "import", "bake", "eval", "render", "export", "bundle", "effects", "info"):
+    for verb in ("train", "import", "bake", "eval", "render", "export", "bundle", "effects", "estimate", "info"):
         assert cli.main([verb, "--help"]) == 0
         assert f"snerg {verb}" in capsys.readouterr().out
     assert cli.main(["--help"]) == 0

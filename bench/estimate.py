@@ -1,0 +1,132 @@
+"""`make bench-estimate FIELDS="FIELD ..."`: what `snerg estimate` says beforehand, and what a bake, its files and a picture then took.
+
+Of each field and configuration: a survey, an estimate, and a `snerg bake` in a process of its own, so that its peak memory is
+known; then a picture. Without fields, those that `make bench-train` left. Writes build/bench/estimate.json; prints a table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from train import OUT, describe_machine, snerg
+
+from snerg.core.describe import folder_bytes
+from snerg.core.export.scene import read_scene
+from snerg.core.field.checkpoint import read_field
+from snerg.core.grid.bake import BakeSettings
+from snerg.core.grid.march import march
+from snerg.core.grid.tables import make_tables, tables_of
+from snerg.core.study.estimate import estimate
+from snerg.core.study.survey import Survey, survey
+
+CONFIGURATIONS = ((128, 4), (256, 1), (256, 4), (256, 0), (384, 2), (512, 1), (512, 4), (512, 0))
+GOOD = 0.25
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A number before and after."""
+
+    said: float
+    was: float
+
+    @property
+    def error(self) -> float:
+        """Relative to what it was."""
+        return self.said / self.was - 1 if self.was else 0.0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure every configuration that is not measured yet; the exit code is 0."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("fields", type=Path, nargs="*")
+    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--configurations", default="", help="RESOLUTIONxSAMPLES with commas; samples 0: chosen by the bake")
+    options = parser.parse_args(arguments)
+    fields = options.fields or sorted(path.parent for path in OUT.glob("*/field/field.npz"))
+    if not fields:
+        parser.error("there is no field; name some, or run make bench-train first")
+    wanted = [tuple(map(int, text.split("x"))) for text in options.configurations.split(",") if text] or CONFIGURATIONS
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for path in fields:
+        looked = survey(read_field(path))
+        for resolution, samples in wanted:
+            results.append(compare(path, looked, resolution, samples, options.out / "estimate"))
+            (options.out / "estimate.json").write_text(json.dumps({"machine": describe_machine(), "rows": results}, indent=1) + "\n")
+    print(table(results))
+    return 0
+
+
+def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: Path) -> dict[str, Any]:
+    """One configuration, said and done."""
+    name = path.parent.name if path.name == "field" else path.name
+    print(f"{name}: {resolution} voxels, {samples or 'auto'} samples ...", file=sys.stderr, flush=True)
+    settings = BakeSettings(resolution=resolution, samples=samples)
+    began = time.perf_counter()
+    said = estimate(looked, looked.field.domain.world_box(), settings, refine=False)
+    took = time.perf_counter() - began
+    arguments = ("--resolution", str(resolution), "--samples", str(samples), "--no-refine", "--out", str(folder / "scene"))
+    done, peak = snerg("bake", str(path), *arguments)
+    told = done["about"]["bake"]
+    scene = read_scene(folder / "scene")
+    began = time.perf_counter()
+    make_tables(scene)
+    tables = time.perf_counter() - began
+    tables_of(scene)
+    views = [
+        camera.resized(800, round(800 * camera.height / camera.width))
+        for camera in looked.field.cameras[:: max(1, len(looked.field.cameras) // 4)]
+    ]
+    began = time.perf_counter()
+    for view in views:
+        march(scene, view)
+    picture = (time.perf_counter() - began) * 800 * 800 / sum(view.width * view.height for view in views)
+    voxels = told["voxels"]
+    pairs = {
+        "bake s": Pair(said.bake, done["seconds"]["bake"]),
+        "occupancy s": Pair(said.seconds["start"] + said.seconds["occupancy"], told["seconds"]["occupancy"]),
+        "visibility s": Pair(said.seconds["visibility"], told["seconds"]["visibility"]),
+        "prefilter s": Pair(said.seconds["samples"] + said.seconds["prefilter"], told["seconds"]["prefilter"]),
+        "preview s": Pair(said.preview, picture),
+        "tables s": Pair(said.tables, tables),
+        "peak MB": Pair(said.peak_megabytes, 1000 * (peak or 0)),
+        "PNG MB": Pair(said.megabytes, folder_bytes(folder / "scene") / 1e6),
+        "held": Pair(said.held, voxels["held"]),
+        "kept": Pair(said.kept, voxels["held"] if voxels["seen"] is None else voxels["seen"]),
+        "blocks": Pair(said.blocks, told["blocks"]),
+        "samples": Pair(said.samples, told["samples"]),
+    }
+    return {
+        "field": name,
+        "resolution": resolution,
+        "samples": samples,
+        "survey_seconds": looked.seconds,
+        "estimate_seconds": took,
+        "pairs": {name: [pair.said, pair.was, pair.error] for name, pair in pairs.items()},
+    }
+
+
+def table(results: list[dict[str, Any]]) -> str:
+    """Said and done as Markdown, and how many are within a quarter."""
+    names = list(results[0]["pairs"])
+    lines = ["| field | voxels | samples | " + " | ".join(names) + " |", "|---|---|---|" + "---|" * len(names)]
+    for row in results:
+        cells = [f"{said:.3g} / {was:.3g} ({100 * error:+.0f} %)" for said, was, error in row["pairs"].values()]
+        lines.append(f"| {row['field']} | {row['resolution']} | {row['samples'] or 'auto'} | " + " | ".join(cells) + " |")
+    errors = {name: np.abs([row["pairs"][name][2] for row in results]) for name in names}
+    lines.append("| within 25 % | | | " + " | ".join(f"{int((error <= GOOD).sum())} of {len(error)}" for error in errors.values()) + " |")
+    slowest = max(row["estimate_seconds"] for row in results)
+    looks = ", ".join(f"{seconds:.1f}" for seconds in dict.fromkeys(row["survey_seconds"] for row in results))
+    return "\n".join([*lines, "", f"Said / done. Surveys took {looks} seconds, an estimate at most {1000 * slowest:.0f} ms."])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
