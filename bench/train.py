@@ -10,19 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import shutil
-import subprocess
 import sys
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from common import OUT, demo, describe_machine, machine_line, snerg
 from PIL import Image
-
-ROOT = Path(__file__).resolve().parent.parent
-OUT = ROOT / "build" / "bench"
 
 
 @dataclass(frozen=True)
@@ -105,33 +100,10 @@ def measure(name: str, row: Row, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
-    """Run a verb in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
-    command = [sys.executable, "-m", "snerg.core.cli", *arguments, "--json"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    output, peak = child.stdout.read(), None
-    if hasattr(os, "wait4"):
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-        peak = round(usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024) / 1e9, 2)
-    if child.wait() != 0:
-        raise SystemExit(f"'snerg {' '.join(arguments)}' failed with code {child.returncode}.")
-    return json.loads(output.splitlines()[-1]), peak
-
-
 def source(row: Row, options: argparse.Namespace) -> Path:
     """The row's dataset: as it is, without its alpha channel, or the demo's."""
     dataset = options.data / row.dataset if options.data is not None else demo(options.out)
     return without_alpha(dataset, options.out / f"{dataset.name}-white") if row.white else dataset
-
-
-def demo(out: Path) -> Path:
-    """The demo's scene, rendered once."""
-    dataset = out / "demo" / "dataset"
-    if not dataset.is_dir():
-        subprocess.run([sys.executable, str(ROOT / "demo" / "run.py"), "--dataset-only", "--out", str(dataset.parent)], check=True)
-    return dataset
 
 
 def without_alpha(dataset: Path, copy: Path) -> Path:
@@ -148,36 +120,10 @@ def without_alpha(dataset: Path, copy: Path) -> Path:
     return copy
 
 
-def describe_machine() -> dict[str, Any]:
-    """The processor, its memory, what JAX trains on, and the versions."""
-    devices = json.loads(
-        subprocess.run(  # in a process of its own: JAX keeps a GPU's memory to itself
-            [sys.executable, "-m", "snerg.core.cli", "info", "--devices", "--json"], capture_output=True, text=True, check=True
-        ).stdout.splitlines()[-1]
-    )
-    processor, memory = platform.processor() or platform.machine(), None
-    if sys.platform == "linux":
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), processor)
-        memory = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
-    return {
-        "processor": processor,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "memory_gb": memory,
-        "system": platform.platform(terse=True),
-        "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "jax": version("jax"),
-        "devices": devices,
-    }
-
-
 def table(machine: dict[str, Any], results: list[dict[str, Any]]) -> str:
     """Everything as Markdown."""
-    memory = f"{machine['memory_gb']} GB" if machine["memory_gb"] else "memory unknown"
     lines = [
-        f"{machine['processor']}, {machine['cores']} cores, {memory}; {machine['system']}; Python {machine['python']}, "
-        f"NumPy {machine['numpy']}, JAX {machine['jax']}. {machine['devices']['training']}",
+        machine_line(machine),
         "",
         "| row | dataset | what | minutes | PSNR | SSIM | steps | ms a step | peak memory |",
         "|---|---|---|---|---|---|---|---|---|",

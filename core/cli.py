@@ -22,11 +22,13 @@ from typing import Any, NoReturn, TextIO
 from . import predict, verbs
 from .capture.dataset import DatasetOptions
 from .errors import Cancelled, SnergError
-from .export.codecs import SUFFIXES, CodecSettings
+from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
 from .field.networks import VIEWS
 from .field.settings import PRESETS
+from .grid.bake import AUTO, BakeSettings
+from .grid.march import MarchSettings
 from .jobs.protocol import EXIT_ERROR, run_job
 from .progress import Note, Progress
 
@@ -98,23 +100,27 @@ def parser() -> argparse.ArgumentParser:
     bring.add_argument("source", type=Path, metavar="SOURCE")
     bring.add_argument("--out", type=Path, required=True, metavar="PATH")
 
-    bake = verb(
-        "bake",
-        "bake a field into a scene",
-        lambda o, p: verbs.bake_scene(o.field, o.out, o.resolution, o.box, o.samples, o.refine, p, _codec(o) or PNG),
-    )
+    bake = verb("bake", "bake a field into a scene", _bake)
     bake.add_argument("field", type=Path, metavar="FIELD")
     bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
-    bake.add_argument(
-        "--resolution", type=count, default=verbs.RESOLUTION, metavar="N", help="voxels along the longest side (default: %(default)s)"
+    usual = BakeSettings()
+    fineness = bake.add_mutually_exclusive_group()
+    fineness.add_argument(
+        "--resolution",
+        type=count,
+        default=usual.resolution,
+        metavar="N",
+        help="voxels along the longest side (default: %(default)s)",
     )
+    fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
     bake.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
-    bake.add_argument(
-        "--samples", type=natural, default=verbs.SAMPLES, metavar="K", help="a voxel (default: as many as are worth their time)"
-    )
+    bake.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
     bake.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
-
     _storing(bake, "png")
+    compare = bake.add_argument_group("to compare with", "Each leaves out a part of the method, as the tables of the paper do.")
+    compare.add_argument("--no-visibility", dest="visibility", action="store_false", help="keep what no camera sees")
+    compare.add_argument("--no-network", dest="network", action="store_false", help="no view dependence, and no features for it")
+    compare.add_argument("--float", dest="quantise", action="store_false", help="32 bits a value in place of 8")
 
     measure = verb("eval", "measure a field or a scene on views that training did not see", _evaluate)
     measure.add_argument("target", type=Path, metavar="FIELD_OR_SCENE")
@@ -123,13 +129,19 @@ def parser() -> argparse.ArgumentParser:
     measure.add_argument("--split", metavar="SPLIT", help="train, val or test (default: test, else val)")
     _reading(measure, None)
     measure.add_argument("--out", type=Path, metavar="DIR", help="write the pictures there, and a sheet of them beside the truth")
+    _marching(measure)
 
-    render = verb("render", "render a scene from cameras", lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p))
+    render = verb(
+        "render",
+        "render a scene from cameras",
+        lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p, _march(o)),
+    )
     render.add_argument("scene", type=Path, metavar="SCENE")
     render.add_argument("--cameras", type=Path, required=True, metavar="TRANSFORMS.json")
     render.add_argument("--out", type=Path, required=True, metavar="DIR")
     render.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
     render.add_argument("--height", type=count, metavar="H")
+    _marching(render)
 
     export = verb("export", "write a scene in the reference PNG layout", lambda o, p: verbs.export_reference(o.scene, o.out, p))
     export.add_argument("scene", type=Path, metavar="SCENE")
@@ -147,21 +159,6 @@ def parser() -> argparse.ArgumentParser:
     called = verb("effects", "say which optional effects a scene calls for, and why", lambda o, p: predict.effects(o.path, p))
     called.add_argument("path", type=Path, metavar="PATH")
     called.set_defaults(show=predict.effects_text)
-
-    ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
-    ahead.add_argument("path", type=Path, metavar="DATASET_OR_FIELD")
-    baking = ahead.add_argument_group("of a field", "What a bake, its files and a preview take.")
-    finest = predict.USUAL.resolution
-    baking.add_argument("--resolution", type=count, default=finest, metavar="N", help="voxels along the longest side (%(default)s)")
-    baking.add_argument("--box", type=Path, metavar="BOX.json", help="as for bake")
-    baking.add_argument("--samples", type=natural, default=0, metavar="K", help="a voxel; 0 (default): what is worth its time")
-    baking.add_argument("--no-refine", dest="refine", action="store_false", help="as for bake")
-    baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
-    baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
-    learning = ahead.add_argument_group("of a dataset", "What a training takes.")
-    learning.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="(default: %(default)s)")
-    learning.add_argument("--minutes", type=positive, metavar="M", help="how many steps so long a training has")
-    learning.add_argument("--steps", type=count, metavar="N", help="how long so many steps take")
 
     about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
     about.add_argument("path", type=Path, nargs="?", metavar="PATH")
@@ -184,12 +181,43 @@ def _storing(verb: argparse.ArgumentParser, default: str) -> None:
     verb.add_argument("--quality", type=count, metavar="Q", help=f"of lossy codecs, 1 to 100 (default: {CodecSettings.quality})")
 
 
+def _marching(verb: argparse.ArgumentParser) -> None:
+    """How a scene is marched."""
+    usual = MarchSettings()
+    verb.add_argument(
+        "--tolerance",
+        type=portion,
+        default=usual.tolerance,
+        metavar="E",
+        help="error that a value of a pixel may have, 0 to 1 (default: %(default)s)",
+    )
+    verb.add_argument(
+        "--per-sample-network", action="store_true", help="view dependence at every sample, not once a pixel, to compare with"
+    )
+
+
+def _march(options: argparse.Namespace) -> MarchSettings:
+    return MarchSettings(tolerance=options.tolerance, per_sample_network=options.per_sample_network)
+
+
 def _codec(options: argparse.Namespace) -> CodecSettings | None:
+    if options.quality is not None and options.codec in (None, *LOSSLESS):
+        raise SnergError("A quality needs a lossy codec; give --codec jpeg, avif or h264 with it.")
     if options.codec is None:
-        if options.quality is not None:
-            raise SnergError("A quality needs a lossy codec; give --codec jpeg, avif or h264 with it.")
         return None
     return CodecSettings(options.codec, CodecSettings.quality if options.quality is None else options.quality)
+
+
+def _bake(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    settings = BakeSettings(
+        resolution=options.resolution,
+        samples=options.samples,
+        voxel_size=options.voxel_size,
+        visibility=options.visibility,
+        quantise=options.quantise,
+        network=options.network,
+    )
+    return verbs.bake_scene(options.field, options.out, settings, options.box, options.refine, progress, _codec(options) or PNG)
 
 
 def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
@@ -208,13 +236,9 @@ def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
 
 def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     dataset = options.dataset or options.named_dataset
-    return verbs.evaluate(options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress)
-
-
-def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
-    training = verbs.settings_of(options.preset, options.minutes, options.steps, 0, {})
-    settings = predict.BakeSettings(resolution=options.resolution, samples=options.samples)
-    return predict.estimate(options.path, training, settings, options.box, options.refine, (options.width, options.height))
+    return verbs.evaluate(
+        options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress, _march(options)
+    )
 
 
 def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
@@ -278,6 +302,19 @@ def positive(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         raise argparse.ArgumentTypeError(f"{text} must be a number above 0")
     return value
+
+
+def portion(text: str) -> float:
+    """A number from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"{text} must be a number from 0 to 1")
+    return value
+
+
+def samples(text: str) -> int:
+    """A whole number of samples a voxel, or 'auto'."""
+    return AUTO if text == "auto" else natural(text)
 
 
 def background(text: str) -> str:

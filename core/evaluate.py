@@ -19,6 +19,7 @@ from .errors import SnergError, needs_jax
 from .field.losses import shown_over
 from .files import check_replaceable, json_bytes, new_folder
 from .grid.march import Frame, MarchSettings, march
+from .grid.snerg import Snerg
 from .grid.tables import tables_of
 from .progress import Progress, silent, within
 from .study.metrics import mean_psnr, mse, psnr_of, ssim
@@ -26,6 +27,7 @@ from .study.pictures import contact_sheet, error_picture
 
 SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
 SHEET_PIXELS = 480  # width of a picture on it
+USUAL = MarchSettings()
 COLUMNS = ("truth", "rendered", "error x 10")
 
 
@@ -37,15 +39,17 @@ def evaluate(
     downscale: int | None = None,
     out: Path | None = None,
     progress: Progress = silent,
+    settings: MarchSettings = USUAL,
 ) -> Result:
     """Quality of a field or a scene on views of a dataset: PSNR of the mean error, mean SSIM, seconds a view.
 
     What is not given is as in training: the dataset (of a field), which views were held out, the downscale factor and the
     background behind the images' alpha. split: 'test' where there is one, else 'val'. out: a folder for every picture and a
     contact sheet with the truth beside them. Pixels that the dataset's masks hide do not count. PSNR is None when every pixel
-    agrees. Raises SnergError when `target` is neither, or the dataset is unusable.
+    agrees. settings: of a scene's march. Raises SnergError when `target` is neither, or the dataset is unusable, or there are
+    settings for a field.
     """
-    subject = open_target(target)
+    subject = open_target(target, settings)
     if dataset is None and not subject.dataset:
         raise SnergError(f"{target} does not say what it was trained on; give the dataset to measure it on.")
     source = Path(dataset or subject.dataset)
@@ -91,10 +95,12 @@ class Target:
     options: DatasetOptions
 
 
-def open_target(path: Path) -> Target:
-    """Read a field, a checkpoint or a scene. Raises SnergError when `path` is none of them."""
+def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
+    """Read a field, a checkpoint or a scene. Raises SnergError when `path` is none of them, or not what the settings are for."""
     kind = kind_of(path)
     if kind in ("field", "checkpoint"):
+        if settings != USUAL:
+            raise SnergError(f"{path} is a {kind}, which is not marched; bake it first to measure with such settings of the march.")
         with needs_jax():
             import jax  # noqa: F401  # evaluating a field compiles it
 
@@ -103,12 +109,21 @@ def open_target(path: Path) -> Target:
         known = trained(field.about)
         return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
     if kind in ("scene", "reference scene", "page"):
-        snerg = any_scene(path)
-        tables_of(snerg)  # once a scene, not a view
+        snerg = ready_scene(path, settings)
         return Target(
-            "scene", lambda camera, progress: march(snerg, camera, MarchSettings(), progress), *_facts(snerg.about.get("trained", {}), "")
+            "scene", lambda camera, progress: march(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
         )
     raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
+
+
+def ready_scene(path: Path, settings: MarchSettings) -> Snerg:
+    """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
+    one that the settings ask for a network at every sample."""
+    snerg = any_scene(path)
+    if settings.per_sample_network and snerg.network is None:
+        raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
+    tables_of(snerg)
+    return snerg
 
 
 def trained(about: dict[str, Any]) -> dict[str, Any]:

@@ -21,31 +21,29 @@ from .capture.images import png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
 from .describe import Result, any_field, any_scene, folder_bytes, info, kind_of
 from .errors import SnergError, needs_jax
-from .evaluate import evaluate, options_of, trained
+from .evaluate import evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
 from .export.reference import write_reference
-from .export.scene import PNG, codec_of, is_current, write_scene
+from .export.scene import PNG, check_storable, codec_of, is_current, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
 from .field.losses import shown_over
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
 from .files import check_replaceable, json_bytes, new_folder
+from .grid.bake import BakeSettings
 from .grid.box import Box
 from .grid.kept import discard
 from .grid.march import MarchSettings, march
 from .grid.snerg import Snerg
-from .grid.tables import tables_of
 from .progress import Progress, silent, within
 
 if TYPE_CHECKING:
     from .field.field import Field
 
 __all__ = ["bake_scene", "bundle_scene", "evaluate", "export_reference", "import_source", "info", "render_views", "train_field"]
-RESOLUTION = 512
-SAMPLES = 0
-EIGHTH = DatasetOptions()
+EIGHTH, BAKE, MARCH = DatasetOptions(), BakeSettings(), MarchSettings()
 
 
 def train_field(
@@ -138,27 +136,26 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
 def bake_scene(
     field: Path,
     out: Path,
-    resolution: int = RESOLUTION,
+    settings: BakeSettings = BAKE,
     box: Path | None = None,
-    samples: int = SAMPLES,
     refine: bool = True,
     progress: Progress = silent,
     codec: CodecSettings = PNG,
 ) -> Result:
     """Bake a field inside a box into a scene (JAX), then refine its view-dependence network on the training images.
 
-    resolution: voxels along the box's longest side. box: a JSON file (see Box.from_json); all that the field holds when
-    None. samples: a voxel, 0 for as many as measuring shows to be worth their time. Raises SnergError on bad input, Cancelled when
-    `progress` does; then `out` is as it was, and what is finished lies in a folder beside it (.NAME.bake), from which the same
-    bake goes on when it is started again.
+    box: a JSON file (see Box.from_json); all that the field holds when None. Raises SnergError on bad input, and for settings
+    that change nothing in this field; Cancelled when `progress` does. Then `out` is as it was, and what is finished lies in a
+    folder beside it (.NAME.bake), from which the same bake goes on when it is started again.
     """
     check_out(out, "scene", field)
-    codec.check()
+    check_storable(settings.quantise, codec)
     source = read_field(field)
+    _check_settings(settings, source)
     volume = Box.read(box) if box is not None else source.domain.world_box()
-    dataset = _images_to_refine_on(source) if refine else None
+    dataset = _images_to_refine_on(source) if refine and settings.network else None
     unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
-    snerg, seconds = bake_field(source, volume, resolution, samples, dataset, progress, unfinished)
+    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished)
     write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
     discard(unfinished)
     about = snerg.about
@@ -166,19 +163,32 @@ def bake_scene(
     return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
 
 
+def _check_settings(settings: BakeSettings, field: Field) -> None:
+    if settings.voxel_size is not None and field.ndc is not None:
+        raise SnergError("The field lies in device coordinates, in which a length is not one of the scene; choose a resolution instead.")
+    if not settings.network and field.network is None:
+        raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
+    if not settings.visibility and not field.cameras:
+        raise SnergError("The field knows no cameras, so that all of it is kept in any case; bake it without --no-visibility.")
+
+
 def bake_field(
-    field: Field, box: Box, resolution: int, samples: int, dataset: Dataset | None, progress: Progress = silent, resume: Path | None = None
+    field: Field,
+    box: Box,
+    settings: BakeSettings,
+    dataset: Dataset | None,
+    progress: Progress = silent,
+    resume: Path | None = None,
 ) -> tuple[Snerg, dict[str, float]]:
     """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX).
 
     resume: see grid.bake.bake.
     """
     with needs_jax():
-        from .grid.bake import BakeSettings, bake
+        from .grid.bake import bake
         from .grid.refine import RefineSettings, refine
     began = time.perf_counter()
     share = 0.97 if dataset is None else 0.7
-    settings = BakeSettings(resolution=resolution, samples=samples)
     snerg = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
     known = trained(field.about)
     decided = {"decisions": field.about.get("decisions", [])}
@@ -210,6 +220,7 @@ def render_views(
     width: int | None = None,
     height: int | None = None,
     progress: Progress = silent,
+    settings: MarchSettings = MARCH,
 ) -> Result:
     """March a scene from each camera of a transforms file into PNGs with straight alpha, one a camera.
 
@@ -218,14 +229,13 @@ def render_views(
     """
     check_out(out, "pictures", scene, cameras)
     views = [resized(camera, width, height) for camera in read_cameras(cameras)]
-    snerg = any_scene(scene)
+    snerg = ready_scene(scene, settings)
     names = file_names([camera.name for camera in views])
-    tables_of(snerg)
     began = time.perf_counter()
     with new_folder(out) as folder:
         for index, (camera, name) in enumerate(zip(views, names, strict=True)):
             part = within(progress, index / len(views), (index + 1) / len(views))
-            frame = march(snerg, camera, MarchSettings(), part)
+            frame = march(snerg, camera, settings, part)
             (folder / f"{name}.png").write_bytes(png_bytes(to_uint8(frame.straight())))
             part(1.0, f"View {index + 1} of {len(views)}")
     seconds = time.perf_counter() - began

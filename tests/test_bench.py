@@ -1,5 +1,6 @@
-"""The benchmark itself, on a dataset of a few pixels: its rows, its table and its pictures. No figure is asserted."""
+"""The benchmarks themselves, on a dataset of a few pixels: their rows, tables and pictures. No figure is asserted."""
 
+import importlib
 import json
 import shutil
 import subprocess
@@ -7,12 +8,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
+
+from snerg.core import verbs
+from snerg.core.capture.images import read_image
 
 ROOT = Path(__file__).parent.parent
 
 
-def run(*arguments: object) -> subprocess.CompletedProcess:
-    command = [sys.executable, str(ROOT / "bench" / "train.py"), *map(str, arguments)]
+def run(*arguments: object, bench: str = "train") -> subprocess.CompletedProcess:
+    command = [sys.executable, str(ROOT / "bench" / f"{bench}.py"), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True)
 
 
@@ -35,3 +40,41 @@ def test_rows_that_there_are_not(tmp_path):
     assert "no row 'moon'" in run("--rows", "moon", "--out", tmp_path / "out").stderr
     result = run("--data", tmp_path, "--out", tmp_path / "out")
     assert result.returncode == 2 and "none of the data sets" in result.stderr
+
+
+@pytest.mark.slow
+def test_the_grid_is_measured_and_its_scaling_drawn(dataset, tmp_path):
+    pytest.importorskip("jax")
+    verbs.train_field(dataset, tmp_path / "field", steps=12, values={"view_dependence": "deferred"})
+    rows = "bake,large,preview,profile,gather,scaling,whole,no-network,sample-network,webp,half"
+    tiny = ("--views", 2, "--resolution", 48, "--large", 60, "--size", 16, "--out", tmp_path / "out")
+    result = run("--field", tmp_path / "field", "--rows", rows, *tiny, bench="grid")
+    assert result.returncode == 0, result.stderr
+    for text in ("2 of 3 held-out views", "| bake, 48 voxels |", "| bake, 60 voxels |", "`walk.", "| samples taken |", "| 24 voxels |"):
+        assert text in result.stdout
+    value = json.loads((tmp_path / "out" / "grid.json").read_text())["rows"]
+    assert list(value) == rows.split(",") and value["preview"]["naive"]["difference"] < 1e-3
+    assert value["no-network"]["atlas_gb"] == pytest.approx(value["whole"]["atlas_gb"] / 2, abs=1e-6)
+    assert value["webp"]["psnr"] == value["whole"]["psnr"]  # nothing is lost
+    assert sum(row["seconds"] for row in value["profile"]["rows"]) == pytest.approx(value["profile"]["seconds_watched"])
+    picture = read_image(tmp_path / "out" / "scaling.png")
+    assert picture.shape[1] > 2 * picture.shape[0] and (picture.reshape(-1, 3).min(axis=-1) < 100).any()
+    assert (tmp_path / "out" / "contact.png").is_file()
+
+
+def test_rows_of_the_grid_that_there_are_not(tmp_path):
+    result = run("--rows", "moon", "--out", tmp_path / "out", bench="grid")
+    assert result.returncode == 2 and "no row 'moon'" in result.stderr
+    result = run("--field", tmp_path, "--rows", "bake", "--out", tmp_path / "out", bench="grid")
+    assert result.returncode == 2 and "bench-grid: " in result.stderr and "Traceback" not in result.stderr
+
+
+def test_a_straight_line_is_found_and_drawn(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(ROOT / "bench")
+    plot = importlib.import_module("plot")
+    panel = plot.Panel("a line", "x", [(x, 2 * x + 1) for x in (1, 2, 5)])
+    assert panel.line() == pytest.approx((2, 1, 1))
+    assert plot.ticks(0.53) == pytest.approx([0, 0.2, 0.4]) and plot.label(2.5e6) == "2.5M"
+    plot.save_plot(tmp_path / "plot.png", [panel, panel])
+    with Image.open(tmp_path / "plot.png") as image:
+        assert image.size == (4 * plot.WIDTH, 2 * plot.HEIGHT)

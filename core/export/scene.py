@@ -48,14 +48,20 @@ def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = lambda fr
     four Z planes of the atlas stacked (see atlas.slices), or for H.264 KIND.mp4, a plane a frame; cells.npy: the cells where
     they are not quantised.
     """
-    if is_float(snerg) and codec != PNG:
-        raise SnergError(f"The scene is not quantised, and {codec.name} holds 8 bits a value: bake it quantised, or store it as it is.")
+    check_storable(not is_float(snerg), codec)
     (folder / "scene.json").write_bytes(json_bytes(scene_json(snerg, codec)))
     (folder / "indirection.png").write_bytes(png_bytes(indirection_picture(snerg.indirection)))
     if is_float(snerg):
         np.save(folder / "cells.npy", snerg.cells, allow_pickle=False)
     else:
         write_slices(snerg, folder, codec, progress)
+
+
+def check_storable(quantised: bool, codec: CodecSettings) -> None:
+    """Raise SnergError when a codec is not installed, or cannot hold a scene that is not quantised."""
+    codec.check()
+    if not quantised and codec != PNG:
+        raise SnergError(f"The scene is not quantised, and {codec.name} holds 8 bits a value: bake it quantised, or store it as it is.")
 
 
 def is_float(snerg: Snerg) -> bool:
@@ -65,7 +71,6 @@ def is_float(snerg: Snerg) -> bool:
 
 def write_slices(snerg: Snerg, folder: Path, codec: CodecSettings, progress: Progress) -> None:
     """The atlas pictures, two at a time (encoders let go of Python's lock)."""
-    codec.check()
 
     def write(index: int, pictures: dict[str, np.ndarray]) -> None:
         for kind, pixels in pictures.items():

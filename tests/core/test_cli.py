@@ -20,6 +20,8 @@ from scenes import make_snerg
 from snerg.core import cli
 from snerg.core.export.scene import write_scene
 from snerg.core.field.checkpoint import read_field
+from snerg.core.grid.bake import BakeSettings
+from snerg.core.grid.march import MarchSettings
 from snerg.core.jobs.runner import start_verb
 
 
@@ -63,6 +65,15 @@ def test_every_verb_has_help(capsys):
         ["train", "x", "--out", "y", "--seed", "-1"],
         ["train", "x", "--out", "y", "--preset", "slow"],
         ["bake", "x", "--out", "y", "--resolution", "0"],
+        ["bake", "x", "--out", "y", "--resolution", "9", "--voxel-size", "0.1"],
+        ["bake", "x", "--out", "y", "--voxel-size", "0"],
+        ["bake", "x", "--out", "y", "--samples", "some"],
+        ["bake", "x", "--out", "y", "--samples", "65"],
+        ["bake", "x", "--out", "y", "--quality", "9"],
+        ["bake", "x", "--out", "y", "--quality", "9", "--codec", "png"],
+        ["bake", "x", "--out", "y", "--float", "--codec", "webp"],
+        ["eval", "x", "--tolerance", "2"],
+        ["render", "x", "--cameras", "y", "--out", "z", "--tolerance", "nan"],
         ["train", "x", "--out", "y", "--view-dependence", "some"],
         ["train", "x", "--out", "y", "--background", "1,2"],
         ["train", "x", "--out", "y", "--background", "0,0,256"],
@@ -246,6 +257,20 @@ def test_options_reach_the_settings():
     assert settings.family.width == 32 and settings.rate == 0.01 and settings.steps == 7 and settings.seconds is None
     assert settings.background == "#ff8000" and settings.seed == 3 and (options.holdout, options.downscale) == (5, 1)
     assert cli.verbs.settings_of("paper", 2, None, 0, {}).seconds == 120 and cli.verbs.settings_of("paper", 2, None, 0, {}).steps is None
+
+
+def test_options_reach_the_bake_and_the_march(monkeypatch):
+    seen = []
+    for verb in ("bake_scene", "evaluate", "render_views"):
+        monkeypatch.setattr(cli.verbs, verb, lambda *given: seen.append(given) or {})
+    compared = ["--float", "--no-visibility", "--no-refine"]
+    assert cli.main(["bake", "x", "--out", "y", "--voxel-size", "0.1", "--samples", "auto", *compared]) == 0
+    assert cli.main(["bake", "x", "--out", "y", "--resolution", "90", "--samples", "3", "--no-network", "--codec", "jpeg"]) == 0
+    assert seen[0][2] == BakeSettings(voxel_size=0.1, quantise=False, visibility=False) and seen[0][4] is False
+    assert seen[1][2] == BakeSettings(90, 3, network=False) and seen[1][4] is True and seen[1][-1].name == "jpeg"
+    assert cli.main(["eval", "x", "--tolerance", "0.01"]) == 0
+    assert cli.main(["render", "x", "--cameras", "y", "--out", "z", "--per-sample-network"]) == 0
+    assert seen[2][-1] == MarchSettings(tolerance=0.01) and seen[3][-1] == MarchSettings(per_sample_network=True)
 
 
 def test_devices_are_described(capsys):

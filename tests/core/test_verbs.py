@@ -16,12 +16,14 @@ from snerg.core.capture.dataset import DatasetOptions, read_dataset
 from snerg.core.capture.images import over, read_image, to_uint8
 from snerg.core.capture.readers.transforms import write_transforms
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.reference import write_reference
-from snerg.core.export.scene import read_scene, write_scene
+from snerg.core.export.scene import codec_of, read_scene, write_scene
 from snerg.core.field.checkpoint import read_field, write_field
 from snerg.core.field.reference_checkpoint import read_reference_checkpoint, reference_mlp
 from snerg.core.field.settings import PRESETS
-from snerg.core.grid.march import march
+from snerg.core.grid.bake import BakeSettings
+from snerg.core.grid.march import MarchSettings, march
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +287,7 @@ def test_a_field_whose_images_are_gone_says_so(tmp_path, field):
     trained = read_field(field)
     write_field(replace(trained, dataset=str(tmp_path / "moved")), tmp_path / "field")
     with pytest.raises(SnergError, match="--no-refine"):
-        verbs.bake_scene(tmp_path / "field", tmp_path / "scene", resolution=40)
+        verbs.bake_scene(tmp_path / "field", tmp_path / "scene", BakeSettings(40))
     assert not (tmp_path / "scene").exists()
 
 
@@ -293,13 +295,64 @@ def test_baking_refining_and_measuring(tmp_path, field, dataset):
     (tmp_path / "box.json").write_text(json.dumps({"min": [-1, -1, -1], "max": [1, 1, 1.1]}))
     said = []
     result = verbs.bake_scene(
-        field, tmp_path / "scene", resolution=40, box=tmp_path / "box.json", samples=1, progress=lambda f, m: said.append(f)
+        field, tmp_path / "scene", BakeSettings(40, samples=1), tmp_path / "box.json", progress=lambda f, m: said.append(f)
     )
     assert result["kind"] == "scene" and result["refined"] and set(result["seconds"]) == {"bake", "refine"}
     assert 40 <= max(result["voxels"]) <= 44 and said == sorted(said) and said[-1] <= 1
     assert verbs.evaluate(tmp_path / "scene", dataset, "test")["psnr"] > 3
-    plain = verbs.bake_scene(field, tmp_path / "scene", resolution=40, samples=1, refine=False)
+    plain = verbs.bake_scene(field, tmp_path / "scene", BakeSettings(40, samples=1), refine=False, codec=CodecSettings("jpeg", 80))
     assert not plain["refined"] and set(plain["seconds"]) == {"bake"}
+    assert codec_of(tmp_path / "scene") == CodecSettings("jpeg", 80)
+
+
+def test_what_is_left_out_to_compare_with(tmp_path, field, dataset):
+    """Each setting shows in the scene that comes of it, and only where it should."""
+    (tmp_path / "box.json").write_text(json.dumps({"min": [-1, -1, -1], "max": [1, 1, 1]}))
+
+    blind = replace(read_field(field), cameras=tuple(replace(camera, near=1e6) for camera in read_field(field).cameras))
+    write_field(blind, tmp_path / "blind")
+
+    def baked(name, source=field, **settings):
+        chosen = BakeSettings(40, samples=1, **settings)
+        verbs.bake_scene(source, tmp_path / name, chosen, tmp_path / "box.json", refine=name == "diffuse")
+        return read_scene(tmp_path / name)
+
+    whole, diffuse = baked("whole"), baked("diffuse", network=False)
+    assert diffuse.network is None and "refine" not in diffuse.about
+    assert np.abs(diffuse.cells.astype(int) - whole.cells[..., [0, 1, 2, 7]]).max() <= 1  # rounded up or down at random
+    assert not len(baked("unseen", tmp_path / "blind").cells)
+    assert np.array_equal(baked("kept", tmp_path / "blind", visibility=False).cells, whole.cells)
+    exact = baked("exact", quantise=False)
+    assert exact.cells.dtype == np.float32 and np.abs(exact.cells * 255 - whole.cells).max() < 2
+    coarse = baked("coarse", voxel_size=0.1)
+    assert coarse.voxel_size == 0.1 and coarse.shape == (22, 22, 22)
+    with pytest.raises(SnergError, match="not quantised"):
+        verbs.bake_scene(field, tmp_path / "other", BakeSettings(40, quantise=False), codec=CodecSettings("jpeg"))
+
+
+def test_settings_that_would_change_nothing_say_so(tmp_path, field, dataset):
+    trained = read_field(field)
+    write_field(replace(trained, view="diffuse", network=None, cameras=()), tmp_path / "field")
+    for settings, match in ((BakeSettings(network=False), "diffuse"), (BakeSettings(visibility=False), "no cameras")):
+        with pytest.raises(SnergError, match=match):
+            verbs.bake_scene(tmp_path / "field", tmp_path / "scene", settings)
+    assert not (tmp_path / "scene").exists()
+    with pytest.raises(SnergError, match="not marched"):
+        verbs.evaluate(field, dataset, settings=MarchSettings(tolerance=0.1))
+    write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "diffuse")
+    with pytest.raises(SnergError, match="--per-sample-network"):
+        verbs.evaluate(tmp_path / "diffuse", dataset, settings=MarchSettings(per_sample_network=True))
+
+
+def test_how_a_scene_is_marched_can_be_chosen(tmp_path, scene, dataset):
+    usual = verbs.evaluate(scene, dataset)["psnr"]
+    assert verbs.evaluate(scene, dataset, settings=MarchSettings(tolerance=0.9))["psnr"] < usual - 0.01
+    assert verbs.evaluate(scene, dataset, settings=MarchSettings(per_sample_network=True))["psnr"] < usual - 1
+    write_transforms(tmp_path / "cameras.json", make_cameras(width=20, height=20)[:1], ["one"])
+    for settings in (MarchSettings(), MarchSettings(per_sample_network=True)):
+        verbs.render_views(scene, tmp_path / "cameras.json", tmp_path / "out", settings=settings)
+        expected = march(read_scene(scene), make_cameras(width=20, height=20)[0], settings)
+        assert np.array_equal(read_image(tmp_path / "out" / "one.png"), to_uint8(expected.straight()))
 
 
 def test_a_flat_box_is_refused_before_the_bake(tmp_path, field):
@@ -318,5 +371,5 @@ def test_paths_that_are_nothing(tmp_path):
 
 def test_a_box_that_holds_nothing_bakes_to_an_empty_scene_and_says_so(tmp_path, field):
     (tmp_path / "box.json").write_text(json.dumps({"min": [50, 50, 50], "max": [51, 51, 51]}))
-    result = verbs.bake_scene(field, tmp_path / "scene", resolution=32, box=tmp_path / "box.json", samples=1)
+    result = verbs.bake_scene(field, tmp_path / "scene", BakeSettings(32, samples=1), tmp_path / "box.json")
     assert result["blocks"] == 0 and not result["refined"] and "box" in result["warning"]

@@ -1,0 +1,182 @@
+"""Where a march's time goes: by function, against the machine's own speed at reading memory, and as what there is to march grows."""
+
+from __future__ import annotations
+
+import re
+import statistics
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from types import CodeType, FrameType
+from typing import Any
+
+import numpy as np
+from common import ROOT
+from naive_march import naive_march
+
+from snerg.core.capture.camera import Camera
+from snerg.core.grid import walk
+from snerg.core.grid.march import MarchSettings, march, progressive
+from snerg.core.grid.snerg import Snerg
+from snerg.core.grid.tables import tables_of
+
+ALONE = MarchSettings(threads=1)
+REPEATS = 3
+RANDOM = 2**22  # words read in no order
+
+
+def sized(camera: Camera, size: int) -> Camera:
+    """A camera with `size` pixels along its longer side."""
+    scale = size / max(camera.width, camera.height)
+    return camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
+
+
+def timed(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """Median seconds of some repeats, after one that does not count."""
+    work()
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - began)
+    return statistics.median(seconds)
+
+
+def preview(snerg: Snerg, cameras: list[Camera], size: int) -> dict[str, Any]:
+    """Seconds a picture at two sizes (median over the views, and the slowest), until a first small one, and against the naive march."""
+    result: dict[str, Any] = {"views": len(cameras)}
+    for name, pixels in (("small", size), ("large", 2 * size)):
+        views = [sized(camera, pixels) for camera in cameras]
+        seconds = [timed(lambda view=view: march(snerg, view)) for view in views]  # type: ignore[misc]
+        first = [timed(lambda view=view: next(progressive(snerg, view))) for view in views]  # type: ignore[misc]
+        result[name] = {"pixels": pixels, "seconds": statistics.median(seconds), "slowest": max(seconds), "first": statistics.median(first)}
+    view = sized(cameras[0], size)
+    quick = timed(lambda: march(snerg, view))
+    began = time.perf_counter()
+    naive = naive_march(snerg, view)
+    slow = time.perf_counter() - began
+    difference = float(np.abs(naive - march(snerg, view).over()).max())
+    return result | {"naive": {"seconds": slow, "ours": quick, "times": slow / quick, "difference": difference}}
+
+
+class Profile:
+    """Seconds that each function of this package takes itself, NumPy included, in threads that begin while this is open."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[CodeType, float] = defaultdict(float)
+        self.local = threading.local()
+
+    def __enter__(self) -> Profile:
+        threading.setprofile(self._event)
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        threading.setprofile(None)  # type: ignore[arg-type]
+
+    def _event(self, frame: FrameType, what: str, _argument: object) -> None:
+        if what not in ("call", "return"):
+            return
+        now, local = time.perf_counter(), self.local.__dict__
+        stack: list[CodeType | None] = local.setdefault("stack", [])
+        if stack and stack[-1] is not None:
+            self.seconds[stack[-1]] += now - local["since"]
+        if what == "return":
+            if stack:
+                stack.pop()
+        elif frame.f_code.co_filename.startswith(str(ROOT / "core")):
+            stack.append(frame.f_code)
+        else:  # of Python or NumPy: its caller's
+            stack.append(stack[-1] if stack else None)
+        local["since"] = time.perf_counter()
+
+    def rows(self) -> list[dict[str, Any]]:
+        """{"function", "what", "seconds"}, the most expensive first; what is defined inside a function counts as that."""
+        found: dict[str, dict[str, Any]] = {}
+        for code, seconds in self.seconds.items():
+            module = code.co_filename.rsplit("/", 1)[-1].removesuffix(".py")
+            name = f"{module}.{code.co_qualname.split('.<locals>')[0]}"
+            row = found.setdefault(name, {"function": name, "what": "", "seconds": 0.0})
+            row["seconds"] += seconds
+            text = code.co_consts[0] if code.co_consts and isinstance(code.co_consts[0], str) else ""
+            if text and "<locals>" not in code.co_qualname:
+                row["what"] = re.split(r"(?<!eq)\.(?: |$)", text.strip().split("\n")[0])[0]
+        return sorted(found.values(), key=lambda row: -row["seconds"])
+
+
+def profile(snerg: Snerg, cameras: list[Camera], size: int) -> dict[str, Any]:
+    """The march of some views in one thread: seconds in all, and by function."""
+    views = [sized(camera, size) for camera in cameras]
+    alone = sum(timed(lambda view=view: march(snerg, view, ALONE), 1) for view in views)  # type: ignore[misc]
+    with Profile() as found:
+        began = time.perf_counter()
+        for view in views:
+            march(snerg, view, ALONE)
+        watched = time.perf_counter() - began
+    rows = found.rows()
+    left = watched - sum(row["seconds"] for row in rows)
+    rows.append({"function": "the rest", "what": "threads, and putting the picture together", "seconds": left})
+    return {"views": len(views), "pixels": size, "seconds": alone, "seconds_watched": watched, "rows": rows}
+
+
+@contextmanager
+def samples_of(keep: bool) -> Iterator[list[np.ndarray]]:
+    """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array (or [count] where not kept)."""
+    calls: list[np.ndarray] = []
+
+    class Counted(walk.Interpolate):
+        def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+            calls.append(first.copy() if keep else np.array([len(first)]))
+            return super().__call__(first, fraction)
+
+    usual = walk.Interpolate
+    walk.Interpolate = Counted  # type: ignore[misc]
+    try:
+        yield calls
+    finally:
+        walk.Interpolate = usual  # type: ignore[misc]
+
+
+def gathering(snerg: Snerg, camera: Camera, size: int) -> dict[str, Any]:
+    """The march in one thread beside what the machine needs just to read the same voxels, in the same order, and in none."""
+    view, tables = sized(camera, size), tables_of(snerg)
+    with samples_of(keep=True) as calls:
+        march(snerg, view, ALONE)
+    reader = walk.Interpolate(tables)
+    spare = np.empty((walk.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
+
+    def read(calls: list[np.ndarray]) -> None:
+        for first in calls:
+            for corner in reader.corners:
+                corner.take(first, axis=0, out=spare[: len(first)], mode="clip")
+
+    samples = sum(len(first) for first in calls)
+    rng = np.random.default_rng(0)
+    anywhere = rng.integers(0, len(reader.corners[-1]), max(1, RANDOM // 8 // walk.SLICE) * walk.SLICE).reshape(-1, walk.SLICE)
+    return {
+        "pixels": size,
+        "rays": view.width * view.height,
+        "samples": samples,
+        "word_bytes": tables.voxels.itemsize * (tables.voxels.shape[1] if tables.voxels.ndim > 1 else 1),
+        "march": timed(lambda: march(snerg, view, ALONE)),
+        "in_order": timed(lambda: read(calls)),
+        "at_random": timed(lambda: read(list(anywhere))) * 8 * samples / (8 * anywhere.size),
+    }
+
+
+def growing(snerg: Snerg, camera: Camera, size: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """(rays, seconds) of one view at rising sizes; (samples taken, seconds) of as many rays that see more and more of the scene."""
+    rays = []
+    for share in (0.25, 0.5, 0.75, 1, 1.25, 1.5, 1.75, 2):
+        view = sized(camera, max(8, round(share * size)))
+        rays.append((float(view.width * view.height), timed(lambda view=view: march(snerg, view))))  # type: ignore[misc]
+    samples = []
+    for zoom in (0.3, 0.5, 0.7, 0.85, 1, 1.15, 1.3):
+        view = sized(camera, size)
+        view = replace(view, focal=(zoom * view.focal[0], zoom * view.focal[1]))
+        with samples_of(keep=False) as calls:
+            march(snerg, view)
+        samples.append((float(sum(count[0] for count in calls)), timed(lambda view=view: march(snerg, view))))  # type: ignore[misc]
+    return rays, samples
