@@ -32,7 +32,8 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
         settings = context.scene.snerg
         forward = bool(project.notes().get("field", {}).get("ndc"))
         arguments = ["bake", str(project.field), "--out", str(project.scene)]
-        arguments += ["--resolution", str(settings.resolution), "--samples", str(settings.samples)]
+        fineness = ["--voxel-size", str(settings.voxel_size)] if settings.voxel_size else ["--resolution", str(settings.resolution)]
+        arguments += [*fineness, "--samples", str(settings.samples)]
         if settings.box and not forward:
             box = box_from_blender(settings.box, evaluated(context.scene))
             write_bytes(project.box, json_bytes(box.to_json()))

@@ -11,6 +11,7 @@ from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.properties import LOSSY
 from .job_runner import LongVerb
 from .render_dataset import scene_cameras
 
@@ -30,6 +31,10 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
         cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
         write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
         arguments = ["bundle", str(project.scene), "--out", str(project.web), "--cameras", str(project.cameras)]
+        if settings.codec != "scene":
+            arguments += ["--codec", settings.codec]
+        if settings.codec in LOSSY:
+            arguments += ["--quality", str(settings.quality)]
         return start_verb([*arguments, "--single-file"] if settings.single_file else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ from . import activity
 from .bridge import PREVIEW, resolution
 from .curve import Curve, curve_of
 from .project import Project, is_temporary, project_of
+from .properties import LOSSY
 
 LINE = 44  # characters of a sentence in the sidebar as it opens
 
@@ -251,7 +252,10 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         """How fine, and how large it came out."""
         project = project_of(context.scene)
         column = layout.column(align=True)
-        column.prop(settings, "resolution")
+        number = column.row(align=True)
+        number.active = settings.voxel_size == 0
+        number.prop(settings, "resolution")
+        column.prop(settings, "voxel_size")
         column.prop(settings, "samples")
         layout.prop(settings, "refine")
         layout.operator("snerg.bake", icon="RENDER_STILL")
@@ -300,6 +304,10 @@ class SNERG_PT_export(_Step, bpy.types.Panel):
         """A page for everyone, and files for other tools."""
         notes = project_of(context.scene).notes()
         layout.prop(settings, "web_cameras")
+        column = layout.column(align=True)
+        column.prop(settings, "codec")
+        if settings.codec in LOSSY:
+            column.prop(settings, "quality")
         layout.prop(settings, "single_file")
         layout.operator("snerg.export_web", icon="URL")
         layout.operator("snerg.export_scene", icon="EXPORT")

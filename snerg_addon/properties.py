@@ -11,6 +11,8 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 # Blender 5 marks a path that starts with // red unless it is said to be one that may.
 RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0) else set()
 
+LOSSY = ("jpeg", "avif")  # of the codecs below, those that have a quality
+
 
 def _is_empty(_settings: Any, thing: bpy.types.Object) -> bool:
     return bool(thing.type == "EMPTY")
@@ -164,12 +166,23 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         soft_min=64,
         soft_max=800,
     )
+    voxel_size: FloatProperty(
+        name="Voxel Size",
+        description="How large a voxel is, in place of their number. 0: go by the number",
+        subtype="DISTANCE",
+        default=0.0,
+        min=0.0,
+        precision=4,
+        step=1,
+    )
     samples: IntProperty(
         name="Samples",
-        description="Samples of the field in each voxel. More give smoother edges and take longer",
-        default=4,
-        min=1,
-        soft_max=64,
+        description="Samples of the field in each voxel. More give smoother edges and take longer. "
+        "0: as many as turn out to be worth their time",
+        default=0,
+        min=0,
+        soft_max=16,
+        max=64,
     )
     refine: BoolProperty(
         name="Refine Highlights",
@@ -197,6 +210,25 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
             ("ALL", "All", "Every camera of the scene"),
         ],
         default="ALL",
+    )
+    codec: EnumProperty(
+        name="Pictures",
+        description="How the web page's pictures are stored. What is transparent is stored without loss in any case",
+        items=[
+            ("scene", "As Baked", "The files of the baked scene as they are"),
+            ("png", "PNG", "Without loss"),
+            ("webp", "WebP", "Without loss, and smaller than PNG"),
+            ("jpeg", "JPEG", "Small, with some loss"),
+            ("avif", "AVIF", "Smallest for the same loss, and slow to write"),
+        ],
+        default="scene",
+    )
+    quality: IntProperty(
+        name="Quality",
+        description="Of JPEG and AVIF: more keeps more and takes more bytes",
+        default=90,
+        min=1,
+        max=100,
     )
     single_file: BoolProperty(
         name="One File",

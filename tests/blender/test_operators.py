@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import bpy
 import pytest
 from stage import add_camera, add_plane
 
+from snerg.core.cli import parser
 from snerg.core.errors import Cancelled, SnergError
 from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity, Steps
@@ -50,6 +52,28 @@ def test_rendering_without_cameras_or_box_is_refused(scene):
     add_camera("All Round", type="PANO")
     refused("render_dataset", "'All Round' is pano")
     assert files(scene) == []
+
+
+def started(monkeypatch, verb: str) -> list[str]:
+    """The command line that an operator would start."""
+    module = importlib.import_module(f"snerg.operators.{verb}")
+    monkeypatch.setattr(module, "start_verb", lambda arguments: arguments)
+    return getattr(module, f"SNERG_OT_{verb}").start(None, bpy.context, project_of(bpy.context.scene))
+
+
+def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
+    arguments = started(monkeypatch, "bake")
+    assert arguments[4:] == ["--resolution", "256", "--samples", "0"]
+    scene.snerg.voxel_size, scene.snerg.samples, scene.snerg.refine = 0.125, 3, False
+    assert started(monkeypatch, "bake")[4:] == ["--voxel-size", "0.125", "--samples", "3", "--no-refine"]
+    add_camera()
+    assert "--codec" not in started(monkeypatch, "export_web")
+    scene.snerg.codec = "webp"
+    assert started(monkeypatch, "export_web")[-2:] == ["--codec", "webp"]
+    scene.snerg.codec, scene.snerg.quality = "avif", 70
+    assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
+    for verb in ("bake", "export_web"):  # every option is one that there is
+        assert parser().parse_args(started(monkeypatch, verb)).verb == verb.replace("export_web", "bundle")
 
 
 def test_a_box_without_volume_is_refused(scene):
