@@ -13,7 +13,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-grid test test-slow lint format extension clean python
+.PHONY: setup demo bench-train bench-estimate bench-grid test test-slow lint format extension clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -49,6 +49,10 @@ bench-train: setup
 # FIELD=FOLDER: a trained field (default: one of the demo's scene). DATA=FOLDER: its dataset. ROWS=bake,preview: only those.
 bench-grid: setup
 	$(PY) bench/grid.py $(if $(FIELD),--field "$(FIELD)") $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
+
+# FIELDS="FIELD ...": of which to compare what is said beforehand with what happens (default: those of bench-train).
+bench-estimate: setup
+	$(PY) bench/estimate.py $(FIELDS)
 
 test: setup
 	$(PY) -m pytest

@@ -160,6 +160,21 @@ def parser() -> argparse.ArgumentParser:
     called.add_argument("path", type=Path, metavar="PATH")
     called.set_defaults(show=predict.effects_text)
 
+    ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
+    ahead.add_argument("path", type=Path, metavar="DATASET_OR_FIELD")
+    baking = ahead.add_argument_group("of a field", "What a bake, its files and a preview take.")
+    finest = predict.USUAL.resolution
+    baking.add_argument("--resolution", type=count, default=finest, metavar="N", help="voxels along the longest side (%(default)s)")
+    baking.add_argument("--box", type=Path, metavar="BOX.json", help="as for bake")
+    baking.add_argument("--samples", type=natural, default=0, metavar="K", help="a voxel; 0 (default): what is worth its time")
+    baking.add_argument("--no-refine", dest="refine", action="store_false", help="as for bake")
+    baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
+    baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
+    learning = ahead.add_argument_group("of a dataset", "What a training takes.")
+    learning.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="(default: %(default)s)")
+    learning.add_argument("--minutes", type=positive, metavar="M", help="how many steps so long a training has")
+    learning.add_argument("--steps", type=count, metavar="N", help="how long so many steps take")
+
     about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
     about.add_argument("path", type=Path, nargs="?", metavar="PATH")
     about.add_argument("--devices", action="store_true", help="which devices training would use")
@@ -239,6 +254,12 @@ def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]
     return verbs.evaluate(
         options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress, _march(options)
     )
+
+
+def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    training = verbs.settings_of(options.preset, options.minutes, options.steps, 0, {})
+    settings = BakeSettings(resolution=options.resolution, samples=options.samples)
+    return predict.estimate(options.path, training, settings, options.box, options.refine, (options.width, options.height))
 
 
 def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
