@@ -166,7 +166,7 @@ def parser() -> argparse.ArgumentParser:
     finest = predict.USUAL.resolution
     baking.add_argument("--resolution", type=count, default=finest, metavar="N", help="voxels along the longest side (%(default)s)")
     baking.add_argument("--box", type=Path, metavar="BOX.json", help="as for bake")
-    baking.add_argument("--samples", type=natural, default=0, metavar="K", help="a voxel; 0 (default): what is worth its time")
+    baking.add_argument("--samples", type=samples, default=0, metavar="K", help="a voxel; auto (default): what is worth its time")
     baking.add_argument("--no-refine", dest="refine", action="store_false", help="as for bake")
     baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
     baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
