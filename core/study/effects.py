@@ -42,6 +42,8 @@ WORTH = {  # what an effect costs, and what leaving it out saves, where nothing 
     ),
     BACKDROP: ("Finding each image's outline once.", "Nothing: without their hull more is sampled."),
     NDC: ("Bending each ray once, and each pixel's depth back.", "That; but far and near then share voxels of one size."),
+    "Hierarchical sampling": ("A second network, and its samples in each step.", "Both; thin things may then fall between samples."),
+    "Disparity": ("Nothing: the same samples stand elsewhere.", "Nothing."),
     FILL: ("A multiplication a pixel.", "That; light that baking lets through surfaces then stays."),
     CULL: ("A march from every training camera.", "That; but what no camera sees stays in the files and in memory."),
     SAMPLES: (
@@ -174,7 +176,7 @@ def _bend(camera: Camera) -> float:
 def intrinsics(cameras: Sequence[Camera]) -> Decision:
     """Whether the cameras differ in more than where they stand."""
     kinds = len({(c.projection, c.width, c.height, c.focal, c.centre, c.distortion) for c in cameras})
-    evidence = f"The {len(cameras)} cameras have {kinds} size{'s' * (kinds > 1)}, focal lengths and lenses between them."
+    evidence = f"The {len(cameras)} cameras have {kinds} kind{'s' * (kinds > 1)} of size, focal length and lens between them."
     return Decision(INTRINSICS, kinds > 1, evidence, float(kinds), 2.0)
 
 
