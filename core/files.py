@@ -7,8 +7,8 @@ import ctypes
 import glob
 import json
 import os
+import platform
 import shutil
-import sys
 import tempfile
 import time
 import uuid
@@ -124,9 +124,9 @@ def _exchange(a: Path, b: Path) -> bool:
     names = os.fsencode(a), os.fsencode(b)
     with contextlib.suppress(AttributeError, OSError, TypeError):  # a C library without the call, or none to ask
         library = ctypes.CDLL(None)
-        if sys.platform == "linux":
+        if platform.system() == "Linux":
             return bool(library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], EXCHANGE) == 0)
-        if sys.platform == "darwin":
+        if platform.system() == "Darwin":
             return bool(library.renamex_np(*names, EXCHANGE) == 0)
     return False
 

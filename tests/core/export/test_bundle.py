@@ -1,0 +1,68 @@
+"""Web pages made from scenes on disk: which codec, and what of a scene goes into them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from scenes import make_snerg
+from snerg.core import verbs
+from snerg.core.cli import main
+from snerg.core.errors import SnergError
+from snerg.core.export.codecs import CodecSettings
+from snerg.core.export.scene import codec_of, read_scene, write_scene
+
+
+@pytest.fixture
+def stored(tmp_path):
+    write_scene(make_snerg((34, 20, 20)), tmp_path / "scene", codec=CodecSettings("jpeg", 70))
+    (tmp_path / "scene" / "diary.txt").write_text("mine")
+    return tmp_path / "scene"
+
+
+def test_pictures_are_taken_as_they_are(tmp_path, stored):
+    """Encoded again, a lossy picture would lose again."""
+    result = verbs.bundle_scene(stored, tmp_path / "web")
+    assert result["codec"] == "jpeg"
+    names = {path.name for path in stored.iterdir()} - {".snerg", "diary.txt"}
+    assert {path.name for path in (tmp_path / "web" / "scene").iterdir()} == names
+    for name in names:
+        assert (tmp_path / "web" / "scene" / name).read_bytes() == (stored / name).read_bytes()
+
+
+def test_another_codec(tmp_path, stored):
+    assert verbs.bundle_scene(stored, tmp_path / "web", codec=CodecSettings("webp"))["codec"] == "webp"
+    assert codec_of(tmp_path / "web" / "scene") == CodecSettings("webp")
+    assert np.array_equal(read_scene(tmp_path / "web" / "scene").cells, read_scene(stored).cells)
+
+
+def test_an_older_scene_is_written_anew(tmp_path):
+    write_scene(make_snerg((34, 20, 20)), tmp_path / "scene")
+    path = tmp_path / "scene" / "scene.json"
+    value = json.loads(path.read_text())
+    del value["codec"]
+    path.write_text(json.dumps({**value, "version": 2}))
+    verbs.bundle_scene(tmp_path / "scene", tmp_path / "web")
+    assert json.loads((tmp_path / "web" / "scene" / "scene.json").read_text())["version"] == 3
+
+
+def test_from_the_command_line(tmp_path, stored, capsys):
+    assert main(["bundle", str(stored), "--out", str(tmp_path / "web"), "--codec", "avif", "--quality", "60", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["codec"] == "avif"
+    assert codec_of(tmp_path / "web" / "scene") == CodecSettings("avif", 60)
+    for more, words in (
+        (["--quality", "60"], "give --codec"),
+        (["--codec", "h264"], "full chroma"),
+        (["--codec", "jpeg", "--quality", "200"], "1 to 100"),
+    ):
+        assert main(["bundle", str(stored), "--out", str(tmp_path / "other"), *more]) == 2
+        message = capsys.readouterr().err.strip()
+        assert words in message and "\n" not in message
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_damaged_codec_is_told(tmp_path, stored):
+    path = stored / "scene.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "codec": 5}))
+    with pytest.raises(SnergError, match="no good codec"):
+        verbs.bundle_scene(stored, tmp_path / "web")
