@@ -74,7 +74,8 @@ def _draw(draw: ImageDraw.ImageDraw, panel: Panel, offset: int) -> None:
         left, low = place(0, y)
         draw.text((left - 6 * SHARP, low), f"{y:g}", INK, small, anchor="rm")
     first = max(0.0, -start / slope) if slope else 0.0
-    draw.line([place(first, slope * first + start), place(most_x, slope * most_x + start)], LINE, 2 * SHARP)
+    last = min(most_x, (most_y - start) / slope) if slope > 0 else most_x
+    draw.line([place(first, slope * first + start), place(last, slope * last + start)], LINE, 2 * SHARP)
     draw.line([place(0, most_y), place(0, 0), place(most_x, 0)], INK, SHARP)
     for x, y in panel.points:
         left, low = place(x, y)
