@@ -17,13 +17,13 @@ from ..capture.camera import Camera
 from ..errors import SnergError
 from ..files import json_bytes, new_folder
 from ..grid.snerg import Snerg
+from ..progress import Progress, silent
 from .codecs import CodecSettings
 from .scene import PNG, copy_scene_files, is_float, write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
 SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
 FILES_MARK = "<!-- files -->"
-Progress = Callable[[float, str], None]
 
 
 def write_bundle(
@@ -31,7 +31,7 @@ def write_bundle(
     cameras: Sequence[Camera],
     folder: Path,
     single_file: bool = False,
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
     codec: CodecSettings = PNG,
     source: Path | None = None,
 ) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,11 +28,11 @@ from ..field.networks import SHAPES, ViewNetwork
 from ..files import json_bytes, new_folder, read_json
 from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
+from ..progress import Progress, silent
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
 from .codecs import CodecSettings, read_picture
 from .scene import write_slices
 
-Progress = Callable[[float, str], None]
 EMPTY = 255  # an index of a block without a cell
 MAX_BLOCKS = 254  # along an axis of the grid: what a 3D texture is sure to hold (hard case 54)
 OURS = "snerg_for_blender"  # our own key in scene_params.json: what the layout has no room for
@@ -46,7 +46,7 @@ AHEAD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  #
 KERNELS = ("0_weights", "0_bias", "1_weights", "1_bias", "2_weights", "2_bias")  # in ViewNetwork's order
 
 
-def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, progress: Progress = lambda fraction, what: None) -> None:
+def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, progress: Progress = silent) -> None:
     """Write scene_params.json, atlas_indices.png, rgba_NNN.png and feature_NNN.png, whole or not at all.
 
     camera: gives the picture's size and focal length that the layout records (the viewer uses them for NDC scenes only, and
@@ -234,7 +234,7 @@ def is_reference(folder: Path) -> bool:
     return (folder / "scene_params.json").is_file()
 
 
-def read_reference(folder: Path, progress: Progress = lambda fraction, what: None) -> Snerg:
+def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
     """Read a scene in the reference layout.
 
     A scene of another tool stands in the world where worldspace_T_opengl puts it, a forward-facing one along y with near at 1;

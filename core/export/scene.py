@@ -19,6 +19,7 @@ from ..field.networks import ViewNetwork
 from ..files import json_bytes, new_folder, read_json
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
+from ..progress import Progress, silent
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
 from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
@@ -29,10 +30,9 @@ IN_FLIGHT = 4  # pictures that wait to be written: what is in memory beside the 
 PNG = CodecSettings()
 PICTURE = re.compile(r"(rgba|rgb|alpha|feature)_\d{3}\.\w+")
 FLOAT = {"name": "float", "quality": None}  # cells that are not quantised: cells.npy
-Progress = Callable[[float, str], None]
 
 
-def write_scene(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None, codec: CodecSettings = PNG) -> None:
+def write_scene(snerg: Snerg, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
     """Write a scene folder, whole or not at all.
 
     Raises SnergError when `folder` cannot be written, or the codec cannot hold the scene or is not installed.
@@ -41,7 +41,7 @@ def write_scene(snerg: Snerg, folder: Path, progress: Progress = lambda fraction
         write_scene_files(snerg, temporary, progress, codec)
 
 
-def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = lambda fraction, what: None, codec: CodecSettings = PNG) -> None:
+def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
     """The files of a scene into a folder that exists.
 
     scene.json: the numbers; indirection.png: see `indirection_picture`; KIND_NNN.SUFFIX: see codecs.pictures_of, each with

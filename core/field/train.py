@@ -8,7 +8,7 @@ import math
 import sys
 import time
 from ast import literal_eval
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
-from ..progress import Note
+from ..progress import Note, Progress, silent
 from . import decide, trial
 from .backdrop import border_share, silhouette
 from .checkpoint import read_field_and_state, write_field
@@ -37,7 +37,6 @@ from .sampling import Domain, hull
 from .settings import TrainSettings
 from .trust import cause, not_finite
 
-Progress = Callable[[float, str], None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
@@ -101,9 +100,7 @@ class Trainer:
     Settings in seconds follow the clock, and where the clock stands at a step is never the same twice.
     """
 
-    def __init__(
-        self, dataset: Dataset, settings: TrainSettings, progress: Progress = lambda f, w: None, held_out: Dataset | None = None
-    ) -> None:
+    def __init__(self, dataset: Dataset, settings: TrainSettings, progress: Progress = silent, held_out: Dataset | None = None) -> None:
         """held_out: views to score now and then and never to learn from."""
         keep_memory()
         self.settings, self.dataset, self.devices = settings, dataset, Devices()
@@ -395,7 +392,7 @@ def train(
     dataset: Dataset,
     settings: TrainSettings,
     folder: Path,
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
     resume: bool = False,
     save_every: float = 60.0,
 ) -> Field:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from ..errors import SnergError
 from ..field.checkpoint import flatten
 from ..field.field import Field
 from ..files import json_bytes
-from ..progress import within
+from ..progress import Progress, silent, within
 from .blocks import counts, grow, number, reach, renumbered
 from .box import Box
 from .kept import Kept
@@ -28,7 +28,6 @@ from .samples import choose_samples
 from .snerg import Snerg
 from .visibility import visible_voxels
 
-Progress = Callable[[float, str], None]
 AUTO = 0  # samples: as many as are worth their time
 VERSION = 1  # of what a bake keeps for going on later
 
@@ -73,7 +72,7 @@ def bake(
     box: Box,
     cameras: Sequence[Camera],
     settings: BakeSettings = BakeSettings(),
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
     resume: Path | None = None,
 ) -> Snerg:
     """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.

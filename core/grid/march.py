@@ -17,13 +17,13 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.ndc import world_distance
 from ..field.networks import ViewNetwork, view_residual
+from ..progress import Progress, silent, within
 from .approach import approach, enter
 from .snerg import NETWORK_TRANSMITTANCE, Snerg
 from .tables import tables_of
 from .tolerance import stop_for
 from .walk import Gathered, Rays, Walk
 
-Progress = Callable[[float, str], None]
 SHARE = (
     16384  # rays that a thread prepares, or shades, at a time; BLAS would take threads of its own, and keep them busy, for twice as many
 )
@@ -74,7 +74,7 @@ def march(
     snerg: Snerg,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
 ) -> Frame:
     """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few hundredths of a second."""
     pixels, near = tiled(camera.width, camera.height), max(snerg.near, camera.near)
@@ -102,13 +102,13 @@ def progressive(
     snerg: Snerg,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
 ) -> Iterator[Frame]:
     """First a picture of a quarter of the width and height, then the whole one. `progress` as in `march`, over both."""
     small = camera.resized(-(-camera.width // FIRST), -(-camera.height // FIRST))
     share = 1 / (1 + FIRST**2)
-    yield march(snerg, small, settings, lambda fraction, what: progress(share * fraction, what))
-    yield march(snerg, camera, settings, lambda fraction, what: progress(share + (1 - share) * fraction, what))
+    yield march(snerg, small, settings, within(progress, 0, share))
+    yield march(snerg, camera, settings, within(progress, share, 1))
 
 
 def tiled(width: int, height: int) -> np.ndarray:
@@ -152,7 +152,7 @@ def march_rays(
     origins: np.ndarray,
     directions: np.ndarray,
     settings: MarchSettings = MarchSettings(),
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
     near: float = 0.0,
     visited: np.ndarray | None = None,
 ) -> Composited:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,10 +15,9 @@ from ..capture.dataset import Dataset
 from ..capture.images import over
 from ..errors import SnergError
 from ..field.networks import ViewNetwork, as_numpy, view_residual
+from ..progress import Progress, silent, within
 from .march import TILE, MarchSettings, march_rays
 from .snerg import NETWORK_TRANSMITTANCE, Snerg
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def refine(
     snerg: Snerg,
     dataset: Dataset,
     settings: RefineSettings = RefineSettings(),
-    progress: Progress = lambda fraction, what: None,
+    progress: Progress = silent,
 ) -> tuple[Snerg, dict[str, Any]]:
     """A scene with a network that makes up for what baking and quantising changed, and a report of the gain.
 
@@ -67,11 +65,11 @@ def refine(
     if snerg.network is None or not len(snerg.cells):
         return snerg, {"skipped": "the scene is diffuse" if len(snerg.cells) else "the scene is empty"}
     began = time.perf_counter()
-    gathered = gather(snerg, dataset, settings, lambda f, w: progress(0.6 * f, w))
+    gathered = gather(snerg, dataset, settings, within(progress, 0, 0.6))
     if len(gathered.colour) < 16:
         return snerg, {"skipped": "no training view sees the scene"}
     marched = time.perf_counter()
-    network, report = fit(snerg.network, gathered, settings, lambda f, w: progress(0.6 + 0.4 * f, w))
+    network, report = fit(snerg.network, gathered, settings, within(progress, 0.6, 1))
     report |= {
         "settings": asdict(settings),
         "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},

@@ -7,13 +7,14 @@ seen than not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.ndc import Ndc
+from ..progress import Progress
 from .blocks import SLAB, fill_aprons, grow, number, pack, places_of, unpack
 from .box import CELL_VOXELS, DATA_VOXELS
 from .kept import Kept
@@ -22,7 +23,6 @@ from .march import MarchSettings, march_rays, tiled
 from .occupancy import Matter
 from .snerg import Snerg
 
-Progress = Callable[[float, str], None]
 HALF = DATA_VOXELS // 2
 
 
