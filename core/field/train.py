@@ -18,6 +18,7 @@ import jax
 import numpy as np
 
 from ..capture.dataset import HELD_OUT, Dataset, read_dataset
+from ..capture.images import over, to_uint8
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
 from ..progress import Note, Progress, silent
@@ -37,6 +38,7 @@ from .sampling import Domain, hull
 from .settings import TrainSettings
 from .trust import cause, not_finite
 
+Masks = list[np.ndarray | None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
@@ -105,8 +107,9 @@ class Trainer:
         keep_memory()
         self.settings, self.dataset, self.devices = settings, dataset, Devices()
         self.decisions: list[decide.Decision] = []
-        self.pool = self._read(progress)
-        self.domain, self.ndc, alive = self._space(progress)
+        masks = masks_of(dataset)
+        self.pool = self._read(masks, progress)
+        self.domain, self.ndc, alive = self._space(masks, progress)
         self.pool.domain, self.pool.ndc = self.domain, self.ndc
         self.rng = np.random.default_rng(settings.seed)
         self.scheme = self._sample(alive)
@@ -128,15 +131,14 @@ class Trainer:
         progress(0.0, "Compiling the training step")
         self._step = self.devices.step(settings, self.scheme.loss)
 
-    def _read(self, progress: Progress) -> PixelPool:
+    def _read(self, masks: Masks, progress: Progress) -> PixelPool:
         """All pixels, and whether their alpha counts."""
         data, count = self.dataset, len(self.dataset.views)
-        masks = masks_of(data)
 
         def images(flat: bool) -> Iterator[np.ndarray]:
             for i in range(count):
                 progress(0.0, f"Reading image {i + 1} of {count}")
-                yield over_white(data.read(i)) if flat else data.read(i)
+                yield to_uint8(over(data.read(i))) if flat else data.read(i)
 
         flat = self.settings.transparency == "off"
         domain = decide.suggested(data.suggested_box())
@@ -144,7 +146,7 @@ class Trainer:
         self.decide(decide.transparency(self.settings.transparency, pool.pixels, pool.alpha))
         return PixelPool(images(True), data.cameras, domain, masks) if pool.alpha and not self.decisions[-1].chosen else pool
 
-    def _space(self, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
+    def _space(self, masks: Masks, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
         """Where the scene is: the field's domain, its device coordinates if it has any, and the cells that may hold something."""
         data = self.dataset
         decision, ndc = decide.forward_facing(self.settings.ndc, data.cameras, data.points, data.bounds, self.pool.alpha)
@@ -153,10 +155,10 @@ class Trainer:
             domain, alive = decide.seen_in_ndc(ndc, data.cameras)
             return domain, ndc, alive
         progress(0.0, "Carving the visual hull")
-        domain, alive = hull(data.suggested_box(), data.cameras, self._silhouettes())
+        domain, alive = hull(data.suggested_box(), data.cameras, self._silhouettes(masks))
         return domain, None, alive
 
-    def _silhouettes(self) -> Sequence[np.ndarray | None]:
+    def _silhouettes(self, masks: Masks) -> Sequence[np.ndarray | None]:
         """Where each image shows the scene, bool [H, W], None where it does not say: by its alpha, or before a plain backdrop."""
         cameras, background = self.dataset.cameras, plain_colour(self.settings.background)
         ends = zip(self.pool.starts, self.pool.ends, cameras, strict=True)
@@ -170,9 +172,9 @@ class Trainer:
             found = [silhouette(i[..., :3], background) for i in images]
         else:
             return [None] * len(images)
-        hidden = masks_of(self.dataset)  # nobody knows what is there: it carves nothing
-        found = [f if h is None else f | ~h for f, h in zip(found, hidden, strict=True)]
-        self.pool.keep_near(found, hidden)
+        # Nobody knows what is behind a mask: it carves nothing.
+        found = [f if mask is None else f | ~mask for f, mask in zip(found, masks, strict=True)]
+        self.pool.keep_near(found, masks)
         return found
 
     def _sample(self, alive: np.ndarray) -> Scheme:
@@ -351,14 +353,6 @@ def decibels(error: float) -> float:
     return -10 * math.log10(max(error, 1e-10))
 
 
-def over_white(image: np.ndarray) -> np.ndarray:
-    """uint8 [H, W, 3 or 4] to [H, W, 3] over white."""
-    if image.shape[-1] == 3:
-        return image
-    alpha = image[..., 3:].astype(np.uint32)
-    return ((image[..., :3] * alpha + 255 * (255 - alpha) + 127) // 255).astype(np.uint8)
-
-
 def keep_memory() -> None:
     """Ask glibc to keep freed memory: XLA allocates the same temporaries every step, and above 32 MB glibc would
     map and fault them in afresh each time, which takes longer than the step. Elsewhere this does nothing."""
@@ -372,7 +366,7 @@ def keep_memory() -> None:
         pass
 
 
-def masks_of(dataset: Dataset) -> list[np.ndarray | None]:
+def masks_of(dataset: Dataset) -> Masks:
     """What is to be used of each view, bool [H, W], None for all of it."""
     return [dataset.mask(i) for i in range(len(dataset.views))]
 
