@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import MARK, check_replaceable, write_bytes
+from ..files import MARK, check_replaceable, new_file, write_bytes
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
@@ -71,12 +70,11 @@ class Kept:
     def flush(self) -> None:
         """Write what is not on the disk yet. Raises SnergError when it cannot."""
         if self.folder is not None and self.new:
-            buffer = io.BytesIO()
-            np.savez(buffer, **self.new)  # type: ignore[arg-type]
             first = int(next(iter(self.new)).partition(".")[0])
             if not (self.folder / MARK).exists():
                 write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
-            write_bytes(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", buffer.getvalue())
+            with new_file(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz") as file:
+                np.savez(file, **self.new)  # type: ignore[arg-type]
         self.new, self.saved = {}, time.monotonic()
 
 
