@@ -103,19 +103,9 @@ def parser() -> argparse.ArgumentParser:
     bake = verb("bake", "bake a field into a scene", _bake)
     bake.add_argument("field", type=Path, metavar="FIELD")
     bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
-    usual = BakeSettings()
     fineness = bake.add_mutually_exclusive_group()
-    fineness.add_argument(
-        "--resolution",
-        type=count,
-        default=usual.resolution,
-        metavar="N",
-        help="voxels along the longest side (default: %(default)s)",
-    )
+    _baking(bake, fineness)
     fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
-    bake.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
-    bake.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
-    bake.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
     _storing(bake, "png")
     compare = bake.add_argument_group("to compare with", "Each leaves out a part of the method, as the tables of the paper do.")
     compare.add_argument("--no-visibility", dest="visibility", action="store_false", help="keep what no camera sees")
@@ -163,11 +153,7 @@ def parser() -> argparse.ArgumentParser:
     ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
     ahead.add_argument("path", type=Path, metavar="DATASET_OR_FIELD")
     baking = ahead.add_argument_group("of a field", "What a bake, its files and a preview take.")
-    finest = predict.USUAL.resolution
-    baking.add_argument("--resolution", type=count, default=finest, metavar="N", help="voxels along the longest side (%(default)s)")
-    baking.add_argument("--box", type=Path, metavar="BOX.json", help="as for bake")
-    baking.add_argument("--samples", type=samples, default=0, metavar="K", help="a voxel; auto (default): what is worth its time")
-    baking.add_argument("--no-refine", dest="refine", action="store_false", help="as for bake")
+    _baking(baking, baking)
     baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
     baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
     learning = ahead.add_argument_group("of a dataset", "What a training takes.")
@@ -188,6 +174,17 @@ def _reading(verb: argparse.ArgumentParser, defaults: DatasetOptions | None) -> 
     verb.add_argument("--downscale", type=count, metavar="N", help=f"read pictures this many times smaller (default: {told[1]})")
     if defaults is not None:
         verb.set_defaults(holdout=defaults.holdout, downscale=defaults.downscale)
+
+
+def _baking(verb: argparse._ActionsContainer, fineness: argparse._ActionsContainer) -> None:
+    """How a field is baked. fineness: the group of what excludes the resolution."""
+    usual = BakeSettings()
+    fineness.add_argument(
+        "--resolution", type=count, default=usual.resolution, metavar="N", help="voxels along the longest side (default: %(default)s)"
+    )
+    verb.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
+    verb.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
+    verb.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
 
 
 def _storing(verb: argparse.ArgumentParser, default: str) -> None:

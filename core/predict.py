@@ -7,7 +7,7 @@ from pathlib import Path
 from .capture.dataset import DatasetOptions, read_dataset
 from .describe import Result, any_field, any_scene, kind_of
 from .errors import SnergError, needs_jax
-from .export.scene import PNG, codec_of, is_float, is_scene
+from .export.scene import PNG, codec_of, is_scene
 from .field.settings import TrainSettings
 from .grid.bake import BakeSettings
 from .grid.box import Box
@@ -33,7 +33,7 @@ def _found(path: Path, kind: str, progress: Progress) -> list[Effect]:
     if kind in ("field", "checkpoint"):
         return of_field(any_field(path))
     snerg, folder = any_scene(path), path / "scene" if kind == "page" else path
-    stored = not is_float(snerg) and is_scene(folder)
+    stored = snerg.quantised and is_scene(folder)
     return of_scene(snerg, codec_of(folder) if stored else PNG if kind == "reference scene" else None)
 
 
@@ -41,12 +41,8 @@ def effects_text(result: Result) -> str:
     """The effects for people, a paragraph each."""
     lines = []
     for value in result["effects"]:
-        chosen = ("yes" if value["chosen"] else "no") if isinstance(value["chosen"], bool) else value["chosen"]
-        said = ", as the settings say" if value["overridden"] else ""
-        lines += [
-            f"{value['effect']}: {chosen}{said}. {value['evidence']}",
-            f"    costs: {value['costs']} Left out, it saves: {value['saves']}",
-        ]
+        effect = Effect.from_json(value)
+        lines += [effect.decision.text(), f"    costs: {effect.costs} Left out, it saves: {effect.saves}"]
     return "\n".join(lines)
 
 

@@ -69,6 +69,12 @@ class Effect:
         """JSON values: the decision's, "costs" and "saves"."""
         return {**self.decision.to_json(), "costs": self.costs, "saves": self.saves}
 
+    @classmethod
+    def from_json(cls, value: dict[str, Any]) -> Effect:
+        """Undo `to_json`."""
+        rest = {name: item for name, item in value.items() if name not in ("costs", "saves")}
+        return cls(Decision(**rest), value["costs"], value["saves"])
+
 
 def of_dataset(data: Dataset, progress: Progress = silent) -> list[Effect]:
     """What a capture's images and cameras call for. Raises SnergError when an image cannot be read, Cancelled when `progress` does."""
@@ -165,10 +171,10 @@ def lens(cameras: Sequence[Camera]) -> Decision:
 
 def _bend(camera: Camera) -> float:
     """How far, in pixels, the lens moves what is seen at the picture's edge, at most."""
-    x, y = (np.linspace(0, size, 17) for size in (camera.width, camera.height))
-    edge = np.stack([*np.broadcast_arrays(x, 0)], axis=-1), np.stack([*np.broadcast_arrays(x, camera.height)], axis=-1)
-    sides = np.stack([*np.broadcast_arrays(0, y)], axis=-1), np.stack([*np.broadcast_arrays(camera.width, y)], axis=-1)
-    flat = (np.concatenate([*edge, *sides]) - np.array(camera.centre)) / np.array(camera.focal)
+    size = np.array([camera.width, camera.height])
+    along, ends = np.linspace(0, 1, 17), (0, 1)
+    edges = [np.stack(np.broadcast_arrays(x, y), axis=-1) * size for end in ends for x, y in ((along, end), (end, along))]
+    flat = (np.concatenate(edges) - np.array(camera.centre)) / np.array(camera.focal)
     assert camera.distortion is not None
     return float(np.linalg.norm((camera.distortion.undistort(flat) - flat) * np.array(camera.focal), axis=-1).max())
 
