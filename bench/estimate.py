@@ -15,14 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from train import OUT, describe_machine, snerg
+from common import OUT, describe_machine, markdown, snerg
 
 from snerg.core.describe import folder_bytes
 from snerg.core.export.scene import read_scene
 from snerg.core.field.checkpoint import read_field
 from snerg.core.grid.bake import BakeSettings
 from snerg.core.grid.march import march
-from snerg.core.grid.tables import make_tables, tables_of
+from snerg.core.grid.tables import tables_of
 from snerg.core.study.estimate import estimate
 from snerg.core.study.survey import Survey, survey
 
@@ -55,12 +55,12 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("there is no field; name some, or run make bench-train first")
     wanted = [tuple(map(int, text.split("x"))) for text in options.configurations.split(",") if text] or CONFIGURATIONS
     options.out.mkdir(parents=True, exist_ok=True)
-    results = []
+    machine, results = describe_machine(), []
     for path in fields:
         looked = survey(read_field(path))
         for resolution, samples in wanted:
             results.append(compare(path, looked, resolution, samples, options.out / "estimate"))
-            (options.out / "estimate.json").write_text(json.dumps({"machine": describe_machine(), "rows": results}, indent=1) + "\n")
+            (options.out / "estimate.json").write_text(json.dumps({"machine": machine, "rows": results}, indent=1) + "\n")
     print(table(results))
     return 0
 
@@ -78,9 +78,8 @@ def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: P
     told = done["about"]["bake"]
     scene = read_scene(folder / "scene")
     began = time.perf_counter()
-    make_tables(scene)
-    tables = time.perf_counter() - began
     tables_of(scene)
+    tables = time.perf_counter() - began
     views = [
         camera.resized(800, round(800 * camera.height / camera.width))
         for camera in looked.field.cameras[:: max(1, len(looked.field.cameras) // 4)]
@@ -117,15 +116,16 @@ def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: P
 def table(results: list[dict[str, Any]]) -> str:
     """Said and done as Markdown, and how many are within a quarter."""
     names = list(results[0]["pairs"])
-    lines = ["| field | voxels | samples | " + " | ".join(names) + " |", "|---|---|---|" + "---|" * len(names)]
+    rows = []
     for row in results:
         cells = [f"{said:.3g} / {was:.3g} ({100 * error:+.0f} %)" for said, was, error in row["pairs"].values()]
-        lines.append(f"| {row['field']} | {row['resolution']} | {row['samples'] or 'auto'} | " + " | ".join(cells) + " |")
-    errors = {name: np.abs([row["pairs"][name][2] for row in results]) for name in names}
-    lines.append("| within 25 % | | | " + " | ".join(f"{int((error <= GOOD).sum())} of {len(error)}" for error in errors.values()) + " |")
+        rows.append([row["field"], row["resolution"], row["samples"] or "auto", *cells])
+    errors = [np.abs([row["pairs"][name][2] for row in results]) for name in names]
+    rows.append([f"within {100 * GOOD:g} %", "", "", *(f"{int((error <= GOOD).sum())} of {len(error)}" for error in errors)])
     slowest = max(row["estimate_seconds"] for row in results)
     looks = ", ".join(f"{seconds:.1f}" for seconds in dict.fromkeys(row["survey_seconds"] for row in results))
-    return "\n".join([*lines, "", f"Said / done. Surveys took {looks} seconds, an estimate at most {1000 * slowest:.0f} ms."])
+    columns = ", ".join(["field", "voxels", "samples", *names])
+    return f"{markdown(columns, rows)}\n\nSaid / done. Surveys took {looks} seconds, an estimate at most {1000 * slowest:.0f} ms."
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from ..grid.occupancy import FAINT, SLAB, depth_at, judge, may_hold
 from ..grid.quantize import quantize
 from ..grid.samples import average, worth
 from ..grid.snerg import Snerg
-from ..grid.tables import make_tables, tables_of
+from ..grid.tables import tables_of
 from ..grid.visibility import marching_camera
 
 POINTS = 4096  # that stand for all that a field may hold
@@ -279,9 +279,8 @@ def kept_voxels(told: dict[str, Any]) -> int:
 def _marches(snerg: Snerg, cameras: Sequence[Camera]) -> tuple[float, float, float, float, float]:
     """Seconds of a camera and of each of its rays where they only look, of a picture and of each of its rays, and of the tables a block."""
     began = time.perf_counter()
-    make_tables(snerg)
-    table = (time.perf_counter() - began) / max(len(snerg.cells), 1)
     tables_of(snerg)
+    table = (time.perf_counter() - began) / max(len(snerg.cells), 1)
     views = cameras[:: max(1, len(cameras) // 2)][:2] or [outside(snerg.box)]
     visited = np.zeros(len(snerg.cells) * CELL_VOXELS**3, bool)
     march(snerg, views[0].resized(16, 16))  # what is done once
@@ -314,19 +313,6 @@ def rays_of(field: Field, lattice: Lattice) -> float:
     scene = Snerg(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
     sizes = [(camera.width, camera.height) for camera in (marching_camera(camera, scene) for camera in some)]
     return sum(-(-w // TILE) * -(-h // TILE) * TILE**2 for w, h in sizes) * len(field.cameras) / max(len(some), 1)
-
-
-def _preview(snerg: Snerg, cameras: Sequence[Camera]) -> tuple[float, float]:
-    """Seconds of a ray of a picture, and of a block of the tables that the first one needs."""
-    began = time.perf_counter()
-    make_tables(snerg)
-    table = (time.perf_counter() - began) / max(len(snerg.cells), 1)
-    tables_of(snerg)
-    views = [c.resized(WIDTH, max(1, round(WIDTH * c.height / c.width))) for c in cameras[:3] or [outside(snerg.box)]]
-    began = time.perf_counter()
-    for view in views:
-        march(snerg, view)
-    return (time.perf_counter() - began) / sum(view.width * view.height for view in views), table
 
 
 def outside(box: Box) -> Camera:
