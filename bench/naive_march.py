@@ -40,4 +40,4 @@ def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
         weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1) * (cell >= 0)
         x, y, z = (base + np.array(offset)).T
         result += weight[:, None].astype(np.float32) * snerg.cells[cell, x, y, z]
-    return result / np.float32(255 if snerg.cells.dtype == np.uint8 else 1)
+    return result / np.float32(snerg.unit)

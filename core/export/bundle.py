@@ -19,7 +19,7 @@ from ..files import json_bytes, new_folder
 from ..grid.snerg import Snerg
 from ..progress import Progress, silent
 from .codecs import CodecSettings
-from .scene import PNG, copy_scene_files, is_float, write_scene_files
+from .scene import PNG, copy_scene_files, write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
 SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
@@ -78,7 +78,7 @@ def viewer_files() -> tuple[str, str]:
 
 def check_shown(snerg: Snerg, codec: CodecSettings) -> None:
     """Raise SnergError, saying why, when a browser could not show the scene or decode the codec."""
-    if is_float(snerg):
+    if not snerg.quantised:
         raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")
     if codec.name == "h264":
         raise SnergError("Browsers decode no H.264 at full chroma, which features need; choose the codec avif for a page as small.")

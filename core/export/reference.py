@@ -64,7 +64,7 @@ def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, pr
 
 def check_fits(snerg: Snerg) -> None:
     """Raise SnergError, saying why, when the published viewer could not hold the scene."""
-    if snerg.cells.dtype != np.uint8:
+    if not snerg.quantised:
         raise SnergError("The scene is not quantised, and the reference layout holds 8 bits a value: bake it again without 'float'.")
     if max(snerg.indirection.shape) > MAX_BLOCKS:
         most = MAX_BLOCKS * DATA_VOXELS

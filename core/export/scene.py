@@ -48,10 +48,10 @@ def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = silent, c
     four Z planes of the atlas stacked (see atlas.slices), or for H.264 KIND.mp4, a plane a frame; cells.npy: the cells where
     they are not quantised.
     """
-    check_storable(not is_float(snerg), codec)
+    check_storable(snerg.quantised, codec)
     (folder / "scene.json").write_bytes(json_bytes(scene_json(snerg, codec)))
     (folder / "indirection.png").write_bytes(png_bytes(indirection_picture(snerg.indirection)))
-    if is_float(snerg):
+    if not snerg.quantised:
         np.save(folder / "cells.npy", snerg.cells, allow_pickle=False)
     else:
         write_slices(snerg, folder, codec, progress)
@@ -62,11 +62,6 @@ def check_storable(quantised: bool, codec: CodecSettings) -> None:
     codec.check()
     if not quantised and codec != PNG:
         raise SnergError(f"The scene is not quantised, and {codec.name} holds 8 bits a value: bake it quantised, or store it as it is.")
-
-
-def is_float(snerg: Snerg) -> bool:
-    """Whether a scene is not quantised (table 1)."""
-    return snerg.cells.dtype != np.uint8
 
 
 def write_slices(snerg: Snerg, folder: Path, codec: CodecSettings, progress: Progress) -> None:
@@ -115,7 +110,7 @@ def scene_json(snerg: Snerg, codec: CodecSettings = PNG) -> dict[str, Any]:
         "grid_to_world": snerg.grid_to_world.tolist(),
         "view_rotation": np.asarray(snerg.view_rotation).tolist(),
         "near": float(snerg.near),
-        "codec": FLOAT if is_float(snerg) else codec.to_json(),
+        "codec": codec.to_json() if snerg.quantised else FLOAT,
         "cells": len(snerg.cells),
         "atlas_blocks": list(atlas_blocks(len(snerg.cells))),
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),

@@ -24,9 +24,8 @@ from .tables import tables_of
 from .tolerance import stop_for
 from .walk import Gathered, Rays, Walk
 
-SHARE = (
-    16384  # rays that a thread prepares, or shades, at a time; BLAS would take threads of its own, and keep them busy, for twice as many
-)
+# Rays that a thread prepares, or shades, at a time; BLAS would take threads of its own, and keep them busy, for twice as many.
+SHARE = 16384
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
 TICK_SECONDS = 0.03  # between two calls of `progress`
 FIRST = 4  # how many times smaller, each way, the first picture is

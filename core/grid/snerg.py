@@ -73,6 +73,16 @@ class Snerg:
         return Box(pose, size)
 
     @property
+    def quantised(self) -> bool:
+        """Whether cells hold 8 bits a value, and not floats as they are only to compare with (table 1)."""
+        return self.cells.dtype == np.uint8
+
+    @property
+    def unit(self) -> float:
+        """What cells hold where a value is 1."""
+        return 255.0 if self.quantised else 1.0
+
+    @property
     def effects(self) -> dict[str, bool]:
         """Which optional effects the scene carries."""
         return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.fill_holes}

@@ -54,15 +54,14 @@ def make_tables(snerg: Snerg) -> Tables:
     """See `Tables`."""
     cells = snerg.cells if len(snerg.cells) else np.zeros((1, *snerg.cells.shape[1:]), snerg.cells.dtype)
     channels, flat = cells.shape[-1], np.ascontiguousarray(cells).reshape(-1, cells.shape[-1])
-    whole = cells.dtype == np.uint8
-    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if whole else flat
-    tents = tent_bits((voxels != 0 if whole else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
+    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if snerg.quantised else flat
+    tents = tent_bits((voxels != 0 if snerg.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
     occupied, base = _bricks(snerg.indirection, tents)
     x, y, z = occupied.shape
     return Tables(
         voxels=voxels,
         channels=channels,
-        unit=255.0 if whole else 1.0,
+        unit=snerg.unit,
         brick_base=base.reshape(-1),
         brick_distance=chebyshev(occupied, 255).reshape(-1),
         bricks=(x, y, z),
@@ -132,6 +131,8 @@ def _spread(bits: np.ndarray, distance: int) -> np.ndarray:
 
 def chebyshev(occupied: np.ndarray, most: int) -> np.ndarray:
     """Distance to the nearest True in the maximum norm, uint8, at most `most`."""
+    if not occupied.any():
+        return np.full(occupied.shape, min(most, 255), np.uint8)
     distance = np.where(occupied, 0, 1).astype(np.uint8)
     reached = occupied.copy()
     for _ in range(1, min(most, 255)):
@@ -140,8 +141,6 @@ def chebyshev(occupied: np.ndarray, most: int) -> np.ndarray:
         for axis in range(reached.ndim):
             reached = _wider(reached, axis)
         distance += ~reached
-        if not reached.any():
-            return np.full_like(distance, min(most, 255))
     return distance
 
 

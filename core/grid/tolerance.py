@@ -32,7 +32,7 @@ def stop_for(tolerance: float, snerg: Snerg, per_sample_network: bool) -> float:
     low, high = np.array([-1.0] * 3 + [0.0] * 4), np.array([grows - 1] * 3 + [grows] * 4)
     slope = grows
     if snerg.fill_holes:
-        high = FILLED * grows * np.ones(7) + np.array([0.0] * 3 + [0.0] * 4)
+        high = np.full(7, FILLED * grows)
         low = -high - np.array([FILLED] * 3 + [0.0] * 4)
         slope = FILLED * (grows + 1)
     if snerg.network is not None and not per_sample_network:
@@ -74,7 +74,6 @@ def excess(snerg: Snerg) -> float:
                 most, alpha = part[:, :-1].max(axis=-1), part[:, -1]
                 above = max(above, float((most - alpha).max()))
                 ratio = max(ratio, float(np.max(most / alpha)) if alpha.all() else np.inf)
-        unit = 255 if snerg.cells.dtype == np.uint8 else 1
         samples = float(np.linalg.norm(snerg.shape)) + 1
-        found = _excess[snerg] = min(ratio, 1 + above / unit * samples)
+        found = _excess[snerg] = min(ratio, 1 + above / snerg.unit * samples)
     return found
