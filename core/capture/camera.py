@@ -137,6 +137,13 @@ class Camera:
             flat = self.distortion.distort(flat)
         return np.array(self.centre) + np.array(self.focal) * flat, depth
 
+    def toward(self, points: np.ndarray) -> np.ndarray:
+        """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
+        if self.projection == "orthographic":
+            return np.broadcast_to(-self.camera_to_world[:3, 2], points.shape).copy()
+        way = points - self.position
+        return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+
     def to_json(self) -> dict[str, Any]:
         """All of the camera as JSON values, for `from_json`."""
         return {

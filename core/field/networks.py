@@ -49,6 +49,20 @@ def view_residual(xnp: Any, network: ViewNetwork, colour: Any, features: Any, di
     return sigmoid(xnp, x)
 
 
+def with_frequencies(params: dict[str, Any], degrees: int) -> dict[str, Any]:
+    """Parameters, or their gradient, whose view-dependence networks see the direction's first `degrees` frequencies alone (0 to
+    VIEW_DEGREES): the weights of the others are 0."""
+    changed = dict(params)
+    if "view" in params and degrees < VIEW_DEGREES:
+        first, *rest = params["view"]
+        row = np.arange(first.shape[0])
+        seen = (row < 3) | (row >= ENCODED_VIEW) | ((row - 3) // 3 % VIEW_DEGREES < degrees)
+        changed["view"] = (first * seen[:, None].astype(np.float32), *rest)
+    if "coarse" in params:
+        changed["coarse"] = with_frequencies(params["coarse"], degrees)
+    return changed
+
+
 def as_numpy(network: ViewNetwork) -> ViewNetwork:
     """Float32 NumPy copies of the six arrays."""
     return ViewNetwork(*(np.asarray(a, np.float32) for a in network))

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from .networks import with_frequencies
 from .settings import TrainSettings
 
 Loss = Callable[[Any, dict[str, Any]], tuple[Any, dict[str, Any]]]
@@ -56,7 +57,7 @@ def train_step(
     (loss, told), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
     looked = [g for path, g in jax.tree_util.tree_leaves_with_path(gradient) if not _is_table(path)]
     finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in looked]).all()
-    gradient = clipped(settings, gradient)
+    gradient = clipped(settings, with_frequencies(gradient, settings.view_degrees))
     b1, b2 = BETA_1, settings.beta_2
     unbias = jnp.sqrt(1 - b2 ** jnp.float32(step)) / (1 - b1 ** jnp.float32(step))
 
@@ -67,7 +68,8 @@ def train_step(
         # Adam makes full steps even of gradients of 1e-14.
         changes = finite & (jnp.abs(g) > NOTHING) if table else finite
         m2, v2 = b1 * m + (1 - b1) * g, b2 * v + (1 - b2) * g * g
-        p2 = p - rate * (1.0 if table else settings.network_rate) * unbias * m2 / (jnp.sqrt(v2) + NOTHING)
+        factor = settings.view_rate if _is_view(path) else 1.0 if table else settings.network_rate
+        p2 = p - rate * factor * unbias * m2 / (jnp.sqrt(v2) + NOTHING)
         return jnp.where(changes, p2, p), jnp.where(changes, m2, m), jnp.where(changes, v2, v)
 
     changed = jax.tree_util.tree_map_with_path(update, params, gradient, *moments)
@@ -78,3 +80,8 @@ def train_step(
 def _is_table(path: Any) -> bool:
     """Whether an array of the parameters is a hash grid's table."""
     return "table" in jax.tree_util.keystr(path)
+
+
+def _is_view(path: Any) -> bool:
+    """Whether an array of the parameters is a view-dependence network's."""
+    return "'view'" in jax.tree_util.keystr(path)

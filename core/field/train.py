@@ -29,7 +29,7 @@ from .field import Field
 from .held_out import HELD_OUT_RAYS, Rays, some_views
 from .log import Log
 from .losses import plain_colour
-from .networks import ViewNetwork, init_field, init_params
+from .networks import ViewNetwork, init_field, init_params, with_frequencies
 from .optimise import learning_rate, zero_moments
 from .packed import Batch, PackedScheme
 from .parallel import Devices
@@ -76,7 +76,7 @@ class Scheme(Protocol):
 class TrainProgress:
     """fraction of the whole, step, loss and psnr (dB, of the training rays, running mean), seconds, rays and samples of the last
     step, its learning rate; held_out: dB of rays of views that are not trained on, None where there are none or none were scored
-    yet; note: what it does beside the usual, ''."""
+    yet."""
 
     fraction: float
     step: int
@@ -87,12 +87,11 @@ class TrainProgress:
     samples: int
     rate: float
     held_out: float | None = None
-    note: str = ""
 
     def text(self) -> str:
         """For people."""
         held = "" if self.held_out is None else f", {self.held_out:.2f} dB on held-out views"
-        return f"Step {self.step}: {self.psnr:.2f} dB on training rays{held}{', ' + self.note if self.note else ''}"
+        return f"Step {self.step}: {self.psnr:.2f} dB on training rays{held}"
 
 
 class Trainer:
@@ -114,13 +113,11 @@ class Trainer:
         self.rng = np.random.default_rng(settings.seed)
         self.scheme = self._sample(alive)
         self.undecided = settings.view_dependence == "auto"
-        self.view = "diffuse" if self.undecided else settings.view_dependence
+        self.view = "deferred" if self.undecided else settings.view_dependence
         self.aside = trial.set_aside(len(dataset.views)) if self.undecided else np.zeros(len(dataset.views), bool)
         self.pool.withheld = self.aside.copy()
-        self.params = init_params(settings.family, settings.view_dependence, self.scheme.settings.hierarchy == "on", self.rng)
-        if self.undecided:
-            self.params = trial.with_bias(self.params, trial.SILENT)
-        self.params = self.devices.place(self.params)
+        params = init_params(settings.family, settings.view_dependence, self.scheme.settings.hierarchy == "on", self.rng)
+        self.params = self.devices.place(with_frequencies(params, settings.view_degrees))
         self.moments = self.devices.place(zero_moments(self.devices.local(self.params)))
         self.held_out = None if held_out is None else self._held_out(held_out)
         self.step, self.elapsed, self.bad = 0, 0.0, 0
@@ -218,11 +215,7 @@ class Trainer:
         compiled = False
         while self.fraction() < 1:
             if self.undecided and self.fraction() >= trial.AT:
-                with closing(trial.run(self)) as trying:
-                    for note in trying:
-                        if (now := self._agreed(time.perf_counter() - began)) - told > TELL_EVERY:
-                            told = now
-                            yield self.told(note)
+                trial.run(self)
             self.advance()
             if not compiled:  # the first step is mostly compiling, which is set-up as reading the images is
                 compiled, began = True, time.perf_counter() - self.elapsed
@@ -243,20 +236,15 @@ class Trainer:
             raise Cancelled("Stopped together with the other processes of this training; start them all again to go on.")
         return elapsed
 
-    def told(self, note: str = "") -> TrainProgress:
+    def told(self) -> TrainProgress:
         """How it goes."""
-        return TrainProgress(
-            self.fraction(), self.step, self.loss, self.psnr, self.elapsed, self.rays, self.samples, self.rate, self.score, note
-        )
+        return TrainProgress(self.fraction(), self.step, self.loss, self.psnr, self.elapsed, self.rays, self.samples, self.rate, self.score)
 
-    def advance(self, fraction: float | None = None, slower: float = 1.0) -> None:
-        """One step, as at `fraction` of the training (where it is, when None), its learning rate times `slower`.
-
-        Raises SnergError as `run` does.
-        """
-        fraction = self.fraction() if fraction is None else fraction
+    def advance(self) -> None:
+        """One step. Raises SnergError as `run` does."""
+        fraction = self.fraction()
         batch = self.scheme.batch(self.devices.local(self.params), fraction)
-        self.rate = slower * learning_rate(self.settings, self.step, fraction)
+        self.rate = learning_rate(self.settings, self.step, fraction)
         arrays = self.devices.feed(self.settings, batch.arrays)
         self.params, self.moments, report = self._step(self.params, self.moments, arrays, self.rate, self.step + 1)
         self.step += 1
@@ -341,7 +329,7 @@ class Trainer:
         self.decisions = [d for d in self.decisions if d.effect != trial.EFFECT]
         if self.settings.view_dependence == "auto":
             self.undecided = not len(state["decided"])
-            self.view = "diffuse" if self.undecided else state["decided"].tobytes().decode()
+            self.view = "deferred" if self.undecided else state["decided"].tobytes().decode()
         self.pool.withheld = self.aside.copy() if self.undecided else np.zeros_like(self.aside)
         for known in decisions or []:
             if known["effect"] == trial.EFFECT:
@@ -457,9 +445,7 @@ class Keeper:
         self.scored = trainer.score
 
     def __call__(self, told: TrainProgress) -> None:
-        """After some steps. Nothing is kept while view dependence is on trial: that is one step as far as the disk knows."""
-        if told.note:
-            return
+        """After some steps."""
         at = {"step": told.step, "seconds": round(told.seconds, 2)}
         if told.seconds - self.logged > 2 or told.fraction >= 1:
             self.logged = told.seconds

@@ -1,43 +1,49 @@
-"""Whether a scene calls for view dependence, measured while it trains: the same steps without it and with it (JAX).
+"""Whether a scene calls for view dependence, measured while it trains (JAX).
 
-Training begins with the view-dependence network silent. After a while it forks: some steps go on so, the same steps are
-taken again from the same state with the network awake, and rays of views that were set aside say whether it helps. The
-steps of the better one count. In both the learning rate falls to nothing, because what a step at the full rate happens to do
-to the one and not to the other is more than what there is to measure.
+Training begins with view dependence. After a while, rays of views that were set aside are compared with what they ought to
+show, once as they are, and once with what the view-dependence network adds averaged over the directions from which the training
+cameras see the same points: the best that a field without it, but otherwise the same, could show. Where that is as good, training
+goes on without. Comparing two short trainings instead tells little: the network needs long to find out what a highlight is, and
+a step at the full rate happens to do more to either side than what there is to measure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 
+from ..capture.camera import Camera
 from .decide import Decision
+from .field import Field
 from .held_out import Rays
+from .render import integrate
+from .shading import ray_colour
+from .volume import mean_distance
 
 if TYPE_CHECKING:
     from .train import Trainer
 
-AT = 0.12  # of the training: the shape is there, roughly
-SHARE = 0.04  # of the training's steps are those of each side
-LEAST, MOST = 40, 2000  # steps of each side; of fewer nothing can be told
-SILENT, AWAKE = -100.0, -3.0  # the network's last bias: a residual of 1e-13 with gradients of exactly 0; and as it is drawn
+AT = 0.3  # of the training: what view dependence there is shows by then
+LEAST = 100  # steps before that; after fewer nothing can be told
+SILENT = -100.0  # the network's last bias: a residual of 1e-13 with gradients of exactly 0
 VIEWS = 12  # from how many views on some can be set aside
-RAYS = 8192
-GAIN = 0.03  # dB that view dependence must bring, beyond twice the standard error
+RAYS = 16384
+EYES = 24  # cameras, at most, from which points are looked at
+GAIN = 0.05  # dB that view dependence must bring, beyond twice the standard error
 EFFECT = "View dependence"
 
 
-def with_bias(params: dict[str, Any], bias: float) -> dict[str, Any]:
-    """Parameters whose view-dependence networks are silent or awake."""
+def silenced(params: dict[str, Any]) -> dict[str, Any]:
+    """Parameters whose view-dependence networks add nothing, and learn nothing any more."""
     changed = dict(params)
     if "view" in params:
         *rest, last = params["view"]
-        changed["view"] = (*rest, jnp.full_like(last, bias))
+        changed["view"] = (*rest, jnp.full_like(last, SILENT))
     if "coarse" in params:
-        changed["coarse"] = with_bias(params["coarse"], bias)
+        changed["coarse"] = silenced(params["coarse"])
     return changed
 
 
@@ -50,51 +56,51 @@ def set_aside(views: int) -> np.ndarray:
     return aside
 
 
-def length(step: int, fraction: float) -> int:
-    """Steps of each side, of a training that took `step` steps for `fraction` of itself; 0 where that would be too few."""
-    steps = int(SHARE * step / max(fraction, 1e-6))
-    return min(steps, MOST) if steps >= LEAST else 0
-
-
-def run(trainer: Trainer) -> Generator[str, None, None]:
-    """Decide, and leave the trainer where the better side stands, telling what it does after each step.
-
-    Closed in between, it leaves the trainer where it stood before.
-    """
-    steps = length(trainer.step, trainer.fraction())
-    if not steps:
-        trainer.decide(Decision(EFFECT, "deferred", "The training is too short to try without; a longer one measures it."))
-        trainer.params = trainer.devices.place(with_bias(trainer.devices.local(trainer.params), AWAKE))
+def run(trainer: Trainer) -> None:
+    """Decide, and let the trainer go on as decided."""
+    if trainer.step < LEAST:
+        trainer.decide(Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it."))
         return
-    rays = Rays(trainer.pool, trainer.aside if trainer.aside.any() else None, RAYS, trainer.settings)
-    before, fraction = trainer.state(), trainer.fraction()
-    done = False
-    try:
-        without = yield from _side(trainer, rays, SILENT, steps, fraction)
-        kept = trainer.state()
-        trainer.restore(before)
-        gained = yield from _side(trainer, rays, AWAKE, steps, fraction)
-        decision = judged(without, gained, int(trainer.aside.sum()), steps)
-        if not trainer.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
-            trainer.restore(kept)
-        done = True
-    finally:
-        if not done:
-            trainer.restore(before)
+    aside = trainer.aside
+    rays = Rays(trainer.pool, aside if aside.any() else None, RAYS, trainer.settings)
+    cameras = [camera for camera, out in zip(trainer.dataset.cameras, aside, strict=True) if not out]
+    decision = judged(*errors(trainer.field(), rays, cameras), int(aside.sum()))
+    if not trainer.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
+        trainer.params = trainer.devices.place(silenced(trainer.devices.local(trainer.params)))
     trainer.decide(decision)
 
 
-def _side(trainer: Trainer, rays: Rays, bias: float, steps: int, fraction: float) -> Generator[str, None, np.ndarray]:
-    """Take the steps; returns squared errors [RAYS]."""
-    trainer.params = trainer.devices.place(with_bias(trainer.devices.local(trainer.params), bias))
-    what = "with" if bias == AWAKE else "without"
-    for k in range(steps):
-        trainer.advance(fraction, 1 - k / steps)
-        yield f"trying {what} view dependence"
-    return trainer.errors(rays)
+def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
+    """Squared errors [R] of a deferred field's rays with view dependence averaged over where the cameras are, and as it is."""
+    gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
+    along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)
+    points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
+    points = points if field.ndc is None else field.ndc.to_world(points)
+
+    def shown(looking: np.ndarray) -> np.ndarray:
+        params = {"view": field.network}
+        return ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background)
+
+    own = shown(rays.looking)
+    total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
+    for camera in cameras[:: -(-len(cameras) // EYES)]:
+        looking, sees = seen_by(camera, points)
+        sees &= (looking * rays.looking).sum(axis=-1) > 0  # from the other side there is another surface
+        total += np.where(sees[:, None], shown(looking), 0)
+        count += sees
+    averaged = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], own)
+    return rays.errors(averaged), rays.errors(own)
 
 
-def judged(without: np.ndarray, gained: np.ndarray, views: int, steps: int) -> Decision:
+def seen_by(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions [N, 3] in which a camera looks at world points [N, 3], and whether they are in its picture [N]; whatever is
+    in front of them."""
+    pixels, depth = camera.project(points)
+    inside = (depth > camera.near) & (pixels >= 0).all(axis=-1) & (pixels <= [camera.width, camera.height]).all(axis=-1)
+    return camera.toward(points), inside
+
+
+def judged(without: np.ndarray, gained: np.ndarray, views: int) -> Decision:
     """From squared errors [R] of the same rays without and with view dependence."""
     gain = 10 * np.log10(max(float(without.mean()), 1e-12) / max(float(gained.mean()), 1e-12))
     difference = without - gained
@@ -103,5 +109,5 @@ def judged(without: np.ndarray, gained: np.ndarray, views: int, steps: int) -> D
     threshold = GAIN + doubt
     where = f"rays of {views} views set aside" if views else "training rays, because there are too few views to set any aside"
     needed = f"needed: {threshold:.2f} dB, of which twice the standard error is {doubt:.2f}"
-    evidence = f"{steps} steps with it gain {gain:+.2f} dB on {where} ({needed})."
+    evidence = f"It gains {gain:+.2f} dB over its own average on {where} ({needed})."
     return Decision(EFFECT, "deferred" if gain > threshold else "diffuse", evidence, gain, threshold)

@@ -212,10 +212,8 @@ def _way(field: Field, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, 
     pixels, depth = camera.project(world)
     size = np.array([camera.width, camera.height])
     inside = (depth > camera.near) & ((pixels >= 0) & (pixels <= size)).all(axis=-1)
-    away = -camera.camera_to_world[:3, 2] if camera.projection == "orthographic" else None
-    along = world - camera.position if away is None else np.broadcast_to(away, world.shape)
-    along = along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
-    eye = np.broadcast_to(camera.position, world.shape) if away is None else world - depth[:, None] * along
+    along = camera.toward(world)
+    eye = world - depth[:, None] * along if camera.projection == "orthographic" else np.broadcast_to(camera.position, world.shape)
     origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.near)
     return inside, -toward, np.linalg.norm(points - origin, axis=-1) - near
 

@@ -16,10 +16,12 @@ from snerg.core.errors import SnergError
 def test_rays_pass_through_what_projects_to_their_pixels(index):
     camera = make_cameras(width=31, height=23)[index]
     origins, directions = camera.rays()
-    pixels, depth = camera.project(origins + directions * np.linspace(1, 5, len(origins))[:, None])
+    points = origins + directions * np.linspace(1, 5, len(origins))[:, None]
+    pixels, depth = camera.project(points)
     rows, columns = np.divmod(np.arange(len(origins)), camera.width)
     assert np.abs(pixels - np.stack([columns, rows], axis=-1) - 0.5).max() < 1e-9
     assert (depth > 0).all() and np.allclose(np.linalg.norm(directions, axis=-1), 1)
+    assert np.allclose(camera.toward(points), directions)
 
 
 def test_the_top_left_pixel_looks_up_and_left():

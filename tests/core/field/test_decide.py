@@ -142,20 +142,16 @@ def test_evenly_spaced_samples_are_enough_where_rays_have_a_short_way():
 def test_a_gain_must_exceed_its_doubt():
     draw = np.random.default_rng(0)
     errors = draw.exponential(0.01, 4000)
-    assert trial.judged(errors, errors * 0.95, 3, 100).chosen == "deferred"
-    assert trial.judged(errors, errors * 0.999, 3, 100).chosen == "diffuse"
-    assert trial.judged(errors, errors, 0, 100).chosen == "diffuse"
+    assert trial.judged(errors, errors * 0.95, 3).chosen == "deferred"
+    assert trial.judged(errors, errors * 0.999, 3).chosen == "diffuse"
+    assert trial.judged(errors, errors, 0).chosen == "diffuse"
     noisy = errors * draw.choice([0.02, 1.9], 4000)
-    assert trial.judged(errors, noisy, 3, 100).chosen == "diffuse"  # 4 % better, but by chance
-    assert trial.judged(np.zeros(10), np.zeros(10), 3, 100).chosen == "diffuse"
+    assert trial.judged(errors, noisy, 3).chosen == "diffuse"  # 4 % better, but by chance
+    assert trial.judged(np.zeros(10), np.zeros(10), 3).chosen == "diffuse"
 
 
 def test_few_views_are_set_aside_and_none_of_few():
     assert not trial.set_aside(11).any() and trial.set_aside(12).sum() == 2 and trial.set_aside(100).sum() == 4
-
-
-def test_sides_are_long_enough_or_not_at_all():
-    assert trial.length(120, 0.12) == 40 and trial.length(100, 0.12) == 0 and trial.length(10**6, 0.12) == trial.MOST
 
 
 def balls(folder: Path, gloss: float, size: int = 64) -> Path:

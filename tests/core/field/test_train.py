@@ -22,8 +22,9 @@ from snerg.core.field import trial
 from snerg.core.field.checkpoint import read_field, read_field_and_state, write_field
 from snerg.core.field.decide import Decision
 from snerg.core.field.encoding import HashGrid
+from snerg.core.field.held_out import Rays
 from snerg.core.field.log import read_log
-from snerg.core.field.networks import HashFamily, MlpFamily, init_field
+from snerg.core.field.networks import HashFamily, MlpFamily, ViewNetwork, init_field
 from snerg.core.field.packed import Batch
 from snerg.core.field.render import render_field
 from snerg.core.field.sampling import Domain, hull
@@ -249,20 +250,6 @@ def test_it_logs_as_it_goes(trained):
     assert trained[0].about["psnr_held_out_rays"] == held[-1]
 
 
-def test_a_trial_that_is_stopped_leaves_the_trainer_as_it_was(views, monkeypatch):
-    monkeypatch.setattr(trial, "LEAST", 2)
-    trainer = Trainer(views, replace(SETTINGS, steps=60))
-    while trainer.fraction() < trial.AT:
-        trainer.advance()
-    before = trainer.state()
-    trying = trial.run(trainer)
-    for _ in range(3):  # into the second side
-        next(trying)
-    trying.close()
-    after = trainer.state()
-    assert trainer.undecided and all(np.array_equal(before[name], after[name]) for name in before)
-
-
 @pytest.mark.hard_case(27)
 def test_the_cause_of_a_broken_step_is_named(views):
     trainer = Trainer(views, SETTINGS)
@@ -310,13 +297,39 @@ def test_a_diffuse_decision_leaves_a_diffuse_field(views):
     assert deferred.field().network is not None and not deferred.undecided and not deferred.pool.withheld.any()
 
 
-def test_while_silent_the_view_network_learns_nothing(views):
+def test_once_the_scene_is_found_diffuse_the_view_network_learns_nothing(views):
     trainer = Trainer(views, SETTINGS)
+    assert trainer.pool.withheld.any()
+    trainer.params = trial.silenced(trainer.params)
     before = [np.array(a) for a in trainer.params["view"]]
     for _ in range(3):
         trainer.advance()
     assert all(np.array_equal(a, np.asarray(b)) for a, b in zip(before, trainer.params["view"], strict=True))
-    assert trainer.pool.withheld.any()
+
+
+@pytest.mark.parametrize("degrees", [0, 2, 4])
+def test_the_view_network_sees_so_many_frequencies_of_the_direction(views, degrees):
+    trainer = Trainer(views, replace(SETTINGS, view_degrees=degrees))
+    trainer.advance()
+    first = np.asarray(trainer.params["view"][0])
+    direction, waves, rest = first[:3], first[3:27].reshape(2, 4, 3, 16), first[27:]
+    assert not waves[:, degrees:].any() and all(part.any() for part in (direction, rest, *waves[:, :degrees].reshape(-1, 3, 16)))
+
+
+def test_view_dependence_is_held_against_its_own_average(views):
+    """With a network that adds nothing both are the same; with one that follows the direction they are not."""
+    trainer = Trainer(views, SETTINGS)
+    rays = Rays(trainer.pool, trainer.aside, 512, SETTINGS)
+    field = trainer.field()
+    silent = replace(field, network=ViewNetwork(*map(np.asarray, trial.silenced(trainer.params)["view"])))
+    averaged, own = trial.errors(silent, rays, views.cameras)
+    assert np.allclose(averaged, own, atol=1e-9) and own.any()
+    *rest, last = field.network
+    awake = replace(field, network=ViewNetwork(*rest, last + 3))
+    averaged, own = trial.errors(awake, rays, views.cameras)
+    assert np.abs(averaged - own).max() > 1e-3
+    behind = [replace(c, camera_to_world=c.camera_to_world @ np.diag([-1.0, 1, -1, 1])) for c in views.cameras]
+    assert np.array_equal(*trial.errors(awake, rays, behind))  # nobody else sees these points: there is nothing to compare with
 
 
 def test_a_forward_facing_capture_trains_in_device_coordinates(views, tmp_path):
