@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+from snerg.core.study.machine import describe_machine, machine_line
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "bench"
@@ -38,37 +38,14 @@ def demo(out: Path) -> Path:
     return dataset
 
 
-def describe_machine() -> dict[str, Any]:
-    """The processor, its memory, what JAX trains on, and the versions."""
-    devices = json.loads(
-        subprocess.run(  # in a process of its own: JAX keeps a GPU's memory to itself
-            [sys.executable, "-m", "snerg.core.cli", "info", "--devices", "--json"], capture_output=True, text=True, check=True
-        ).stdout.splitlines()[-1]
-    )
-    processor, memory = platform.processor() or platform.machine(), None
-    if sys.platform == "linux":
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), processor)
-        memory = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
-    return {
-        "processor": processor,
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "memory_gb": memory,
-        "system": platform.platform(terse=True),
-        "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "jax": version("jax"),
-        "devices": devices,
-    }
+def described() -> dict[str, Any]:
+    """`describe_machine`, and what JAX trains on: asked in a process of its own, because JAX keeps a GPU's memory to itself."""
+    return describe_machine() | {"devices": snerg("info", "--devices")[0]}
 
 
-def machine_line(machine: dict[str, Any]) -> str:
-    """The machine in a sentence or two."""
-    memory = f"{machine['memory_gb']} GB" if machine["memory_gb"] else "memory unknown"
-    return (
-        f"{machine['processor']}, {machine['cores']} cores, {memory}; {machine['system']}; Python {machine['python']}, "
-        f"NumPy {machine['numpy']}, JAX {machine['jax']}. {machine['devices']['training']}"
-    )
+def on_machine(machine: dict[str, Any]) -> str:
+    """What `described` says, in a sentence or two."""
+    return f"{machine_line(machine)} {machine['devices']['training']}"
 
 
 def markdown(columns: str, rows: list[list[Any]]) -> str:

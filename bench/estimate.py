@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import OUT, describe_machine, markdown, snerg
+from common import OUT, described, markdown, snerg
 
 from snerg.core.describe import folder_bytes
 from snerg.core.export.scene import read_scene
@@ -55,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error("there is no field; name some, or run make bench-train first")
     wanted = [tuple(map(int, text.split("x"))) for text in options.configurations.split(",") if text] or CONFIGURATIONS
     options.out.mkdir(parents=True, exist_ok=True)
-    machine, results = describe_machine(), []
+    machine, results = described(), []
     for path in fields:
         looked = survey(read_field(path))
         for resolution, samples in wanted:

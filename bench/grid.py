@@ -22,7 +22,7 @@ from typing import Any
 
 import march as marching
 import numpy as np
-from common import OUT, demo, describe_machine, machine_line, markdown, snerg
+from common import OUT, demo, described, markdown, on_machine, snerg
 from plot import Panel, save_plot
 
 from snerg.core.capture.camera import Camera
@@ -217,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure the chosen rows one after the other; the exit code is 0 when all of them are done."""
     options = parsed(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    machine, results = describe_machine(), {}
+    machine, results = described(), {}
     try:
         setup = prepared(options)
         for name in options.rows:
@@ -228,7 +228,7 @@ def main(arguments: list[str] | None = None) -> int:
     except SnergError as error:
         print(f"bench-grid: {error}", file=sys.stderr)
         return 2
-    print("\n\n".join([machine_line(machine), subject(setup), *tables(results, setup)]))
+    print("\n\n".join([on_machine(machine), subject(setup), *tables(results, setup)]))
     print(f"\nEverything is in {options.out}.")
     return 0
 

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from common import OUT, demo, describe_machine, machine_line, snerg
+from common import OUT, demo, described, on_machine, snerg
 from PIL import Image
 
 
@@ -46,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure the chosen rows one after the other; the exit code is 0 when all of them are done."""
     options = parsed(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
-    machine, results = describe_machine(), []
+    machine, results = described(), []
     for name in options.rows:
         results.append(measure(name, ROWS[name], options))
         (options.out / "train.json").write_text(json.dumps({"machine": machine, "rows": results}, indent=1) + "\n")
@@ -123,7 +123,7 @@ def without_alpha(dataset: Path, copy: Path) -> Path:
 def table(machine: dict[str, Any], results: list[dict[str, Any]]) -> str:
     """Everything as Markdown."""
     lines = [
-        machine_line(machine),
+        on_machine(machine),
         "",
         "| row | dataset | what | minutes | PSNR | SSIM | steps | ms a step | peak memory |",
         "|---|---|---|---|---|---|---|---|---|",

@@ -21,7 +21,7 @@ from typing import Any, NoReturn, TextIO
 
 from . import predict, verbs
 from .capture.dataset import DatasetOptions
-from .errors import Cancelled, SnergError
+from .errors import Cancelled, SnergError, needs_jax
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
@@ -31,6 +31,8 @@ from .grid.bake import AUTO, BakeSettings
 from .grid.march import MarchSettings
 from .jobs.protocol import EXIT_ERROR, run_job
 from .progress import Note, Progress
+from .study.front import Target
+from .study.plan import StudySettings
 
 EXIT_STOPPED = 130
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
@@ -161,9 +163,28 @@ def parser() -> argparse.ArgumentParser:
     learning.add_argument("--minutes", type=positive, metavar="M", help="how many steps so long a training has")
     learning.add_argument("--steps", type=count, metavar="N", help="how long so many steps take")
 
-    about = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
-    about.add_argument("path", type=Path, nargs="?", metavar="PATH")
-    about.add_argument("--devices", action="store_true", help="which devices training would use")
+    sweep = verb("study", "measure what accuracy costs in time and bytes, and bake what a target calls for", _study)
+    sweep.add_argument("source", type=Path, metavar="FIELD_OR_DATASET_OR_SCENE")
+    sweep.add_argument("--out", type=Path, required=True, metavar="DIR", help="the report and its rows; given again, the study goes on")
+    sweep.add_argument("--dataset", type=Path, metavar="DATASET", help="to measure on (default: what the field was trained on)")
+    usual = StudySettings()
+    for name, kind, letter, about in (
+        ("minutes", positive, "M", "that measuring may take"),
+        ("resolution", count, "N", "of the usual configuration"),
+        ("views", count, "N", "held-out views that are measured on"),
+        ("repeats", count, "N", "how often what is timed is done"),
+    ):
+        default = getattr(usual, name)
+        sweep.add_argument(f"--{name}", type=kind, default=default, metavar=letter, help=f"{about} (default: %(default)s)")
+    sweep.add_argument("--box", type=Path, metavar="BOX.json", help="of the bakes (default: all that the field holds)")
+    wanted = sweep.add_argument_group("targets", "The cheapest configuration measured that has them all is written to DIR/scene.")
+    wanted.add_argument("--target-db", type=positive, metavar="DB", help="at least so good on held-out views")
+    wanted.add_argument("--target-mb", type=positive, metavar="MB", help="at most so many megabytes")
+    wanted.add_argument("--target-ms", type=positive, metavar="MS", help="at most so long a frame")
+
+    facts = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
+    facts.add_argument("path", type=Path, nargs="?", metavar="PATH")
+    facts.add_argument("--devices", action="store_true", help="which devices training would use")
     return top
 
 
@@ -257,6 +278,14 @@ def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]
     training = verbs.settings_of(options.preset, options.minutes, options.steps, 0, {})
     settings = BakeSettings(resolution=options.resolution, samples=options.samples)
     return predict.estimate(options.path, training, settings, options.box, options.refine, (options.width, options.height))
+
+
+def _study(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
+    with needs_jax():
+        from .study.study import study
+    settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box)
+    target = Target(options.target_db, options.target_mb, options.target_ms)
+    return study(options.source, options.out, options.dataset, settings, target, progress)
 
 
 def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:

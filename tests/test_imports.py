@@ -18,6 +18,8 @@ JAX_MODULES = {
         "field.trial",
         "field.trust",
         "grid.refine",
+        "study.study",
+        "study.sweep",
     )
 }
 

@@ -68,7 +68,7 @@ def _host(tree: Any) -> Any:
     return np.asarray(tree)
 
 
-def some_views(dataset: Dataset) -> Dataset:
-    """At most HELD_OUT_VIEWS of its views, spread evenly."""
-    chosen = np.unique(np.linspace(0, len(dataset.views) - 1, HELD_OUT_VIEWS).round().astype(int))
+def some_views(dataset: Dataset, most: int = HELD_OUT_VIEWS) -> Dataset:
+    """At most so many of its views, spread evenly."""
+    chosen = np.unique(np.linspace(0, len(dataset.views) - 1, most).round().astype(int))
     return replace(dataset, views=tuple(dataset.views[i] for i in chosen), bounds=None)

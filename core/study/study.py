@@ -1,0 +1,291 @@
+"""`snerg study`: what accuracy costs, measured on a field, a dataset or a baked scene within a time that the user gives."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..capture.dataset import Dataset, DatasetOptions, read_dataset
+from ..describe import Result, any_field, any_scene, kind_of
+from ..errors import SnergError
+from ..evaluate import held_out, options_of, trained
+from ..export.codecs import SUFFIXES
+from ..export.scene import write_scene
+from ..field.checkpoint import is_field
+from ..field.held_out import some_views
+from ..field.losses import shown_over
+from ..field.settings import PRESETS
+from ..files import MARK, check_replaceable, json_bytes, read_json, write_bytes
+from ..grid.bake import BakeSettings
+from ..grid.box import Box
+from ..progress import Progress, silent, within
+from .front import Target, choose, front
+from .machine import describe_machine
+from .plan import Config, Step, StudySettings, available, steps
+from .report import Findings, html, write_plots
+from .summary import accuracy, csv_of, predictions
+from .sweep import FIELD, Subject, Sweep
+
+VERSION = 1
+USUAL, ANY = StudySettings(), Target()
+TRAINING_SHARE = 0.25  # of a dataset's study goes into its longest training
+TRAININGS = (0.25, 0.5, 1.0)  # of that, the lengths that are tried, where the study is so long (minutes) that set-up is little of it:
+LONG = 5.0
+HOLDOUT = 8
+
+
+def study(
+    source: Path,
+    out: Path,
+    dataset: Path | None = None,
+    settings: StudySettings = USUAL,
+    target: Target = ANY,
+    progress: Progress = silent,
+) -> Result:
+    """Sweep what trades accuracy for time and bytes, coarse first, and write study.json, study.csv, report.html and plots to `out`.
+
+    source: a field, a checkpoint, a dataset (fields of some lengths are trained first) or a baked scene (which is only stored and
+    marched otherwise). dataset: what to measure on, where the source does not say. Started again with the same `out` it goes on and
+    repeats nothing. target: the cheapest measured configuration that has it is written to out/scene.
+
+    Raises SnergError on bad input, where nothing could be measured in the time, where earlier results are another study's or
+    cannot be read, and where no configuration has the target (the report is written all the same); Cancelled when `progress` does.
+    """
+    deadline = time.monotonic() + 60 * settings.minutes
+    kind = kind_of(source)
+    if kind not in ("field", "checkpoint", "dataset", "scene", "reference scene", "page"):
+        raise SnergError(f"{source} is a {kind}; give a field, a dataset or a baked scene.")
+    notes: list[str] = []
+    views, training = _views(source, kind, dataset, settings, notes)
+    about = {
+        "version": VERSION,
+        "kind": kind,
+        "path": str(source),
+        "dataset": str(views.root),
+        "digest": digest(source) if kind != "dataset" else str(source.resolve()),
+        "asked": {"views": settings.views, "repeats": settings.repeats, "box": None if settings.box is None else str(settings.box)}
+        | {"resolution": settings.resolution, "seed": settings.seed},
+        "machine": describe_machine(),
+        "notes": notes,
+    }
+    begin(out, about)
+    subject, usual = _subject(source, kind, views, training, out, settings, within(progress, 0, 0.3 if kind == "dataset" else 0.02))
+    sweep = Sweep(subject, out)
+    plan = _plan(sweep, usual, subject)
+    left_out = measure(sweep, plan, usual, deadline, settings.minutes, within(progress, 0.3 if kind == "dataset" else 0.02, 0.95))
+    found = findings(sweep, plan, usual, about, left_out)
+    write(found, out)
+    result: Result = {"out": str(out), "report": str(out / "report.html"), "configurations": len(found.rows), "left_out": len(left_out)}
+    result |= {"front": [row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")], "notes": notes}
+    if target:
+        result |= _chosen(sweep, found, target, out, within(progress, 0.95, 1))
+    if not left_out:
+        shutil.rmtree(out / "work", ignore_errors=True)
+    return result
+
+
+def _views(source: Path, kind: str, dataset: Path | None, settings: StudySettings, notes: list[str]) -> tuple[Dataset, Dataset | None]:
+    """The views to measure on, and the images to refine on; where none were held out, some are, and a note says so."""
+    if kind == "dataset":
+        path, options = source, DatasetOptions(HOLDOUT)
+    else:
+        about = any_field(source).about if kind in ("field", "checkpoint") else any_scene(source).about.get("trained", {})
+        known = trained(about) if kind in ("field", "checkpoint") else about
+        name = any_field(source).dataset if kind in ("field", "checkpoint") else ""
+        if dataset is None and not name:
+            raise SnergError(f"{source} does not say what it was trained on; give the dataset to measure it on with --dataset.")
+        path, options = Path(dataset or name), options_of(known)
+    try:
+        views = held_out(path, options)
+    except SnergError:
+        if "train" not in read_dataset(path, "train", options).splits():
+            raise
+        options = replace(options, holdout=HOLDOUT)
+        views = held_out(path, options)
+        seen = "" if kind == "dataset" else " The field has seen them, so that its figures flatter it."
+        notes.append(f"{path} holds no views out; every {HOLDOUT}th is held out here.{seen}")
+    return some_views(views, settings.views), read_dataset(path, "train", options)
+
+
+def digest(path: Path) -> str:
+    """Of the bytes of a file, or of all files of a folder but the log of a training."""
+    found = hashlib.sha256()
+    for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if part.is_file() and part.name not in (MARK, "log.jsonl"):
+            found.update(part.name.encode())
+            with open(part, "rb") as file:
+                found.update(hashlib.file_digest(file, "sha256").digest())
+    return found.hexdigest()[:16]
+
+
+def begin(out: Path, about: dict[str, Any]) -> None:
+    """A folder to put rows in. Raises SnergError when it holds another study or other files, or an earlier study that cannot be read."""
+    check_replaceable(out.absolute())
+    old = out / "about.json"
+    if old.exists():
+        known = read_json(old)
+        if not isinstance(known, dict) or known.get("version") != VERSION:
+            raise SnergError(f"{old} is no study's that this version reads; choose another folder, or delete this one.")
+        for name, what in (("digest", f"of another source ({known.get('path')})"), ("asked", "with other settings")):
+            if known.get(name) != about[name]:
+                raise SnergError(f"The folder {out} holds a study {what}; choose another folder for this one.")
+    elif out.is_dir() and any(path.name != MARK for path in out.iterdir()):
+        raise SnergError(f"The folder {out} holds other results; choose a new folder for the study.")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        (out / MARK).touch()
+    except OSError as error:
+        raise SnergError(f"Cannot write {out} ({error.strerror or error}); choose a folder that you can write to.") from error
+    write_bytes(old, json_bytes(about))
+
+
+def _subject(
+    source: Path, kind: str, views: Dataset, training: Dataset | None, out: Path, settings: StudySettings, progress: Progress
+) -> tuple[Subject, Config]:
+    """What is studied, and the usual configuration of it."""
+    box = Box.read(settings.box) if settings.box is not None else None
+    baked = BakeSettings(resolution=settings.resolution, seed=settings.seed)
+    if kind in ("scene", "reference scene", "page"):
+        snerg = any_scene(source)
+        about = snerg.about.get("trained", {})
+        usual = Config(replace(baked, resolution=max(snerg.shape)), refine=False)
+        return Subject({}, snerg, views, None, box, _background(about), settings.repeats), usual
+    fields = _trained(source, settings, out, progress) if kind == "dataset" else {"": source}
+    first = any_field(next(iter(fields.values())))
+    usual = Config(baked, field=list(fields)[-1])
+    return Subject(fields, None, views, training, box, _background(trained(first.about)), settings.repeats), usual
+
+
+def _background(known: dict[str, Any]) -> tuple[float, float, float]:
+    red, green, blue = shown_over(str(known.get("background", "white"))).tolist()
+    return red, green, blue
+
+
+def _trained(source: Path, settings: StudySettings, out: Path, progress: Progress) -> dict[str, Path]:
+    """Fields of some lengths of training by name, the shortest first; those that are there are not trained again."""
+    from ..field.train import train
+
+    views, folder, fields = read_dataset(source, "train", DatasetOptions(HOLDOUT)), out / "fields", {}
+    longest, shares = 60 * settings.minutes * TRAINING_SHARE, TRAININGS if settings.minutes >= LONG else TRAININGS[-1:]
+    for turn, share in enumerate(shares):
+        seconds = max(round(share * longest), 5)
+        name = f"{seconds} s of training"
+        place = folder / str(seconds)
+        begun = is_field(place)
+        if not (begun and any_field(place).about.get("seconds", 0) >= seconds):
+            part = within(progress, turn / len(shares), (turn + 1) / len(shares))
+            train(views, replace(PRESETS["fast"], seconds=float(seconds), seed=settings.seed), place, part, begun)
+        fields[name] = place
+    return fields
+
+
+def _plan(sweep: Sweep, usual: Config, subject: Subject) -> list[Step]:
+    codecs = available([name for name in SUFFIXES if name != "png"])
+    if subject.scene is not None:
+        plan = steps(usual, subject.scene.network is not None, False, False, codecs)
+        return [step for step in plan if step.config.baked == usual.baked and not step.config.refine]
+    field = sweep.field(usual.field)
+    others = [name for name in subject.fields if name != usual.field]
+    refinable = field.network is not None and subject.training is not None
+    return steps(usual, field.network is not None, bool(field.cameras), refinable, codecs, others)
+
+
+def measure(sweep: Sweep, plan: Sequence[Step], usual: Config, deadline: float, minutes: float, progress: Progress) -> list[str]:
+    """Measure what is not measured yet, until the time is up; returns what was left out, for people.
+
+    A configuration that would not end in time is passed over for quicker ones. Raises SnergError where the time is too short for one.
+    """
+    left_out, ratios = [], [1.0]
+    for index, step in enumerate(plan):
+        if step.config.key in sweep.rows:
+            continue
+        begun, expected = time.monotonic(), sweep.needs(step.config)
+        needed, left = statistics.median(ratios) * expected, deadline - begun
+        if needed > left:
+            if not any(row["config"] for row in sweep.rows.values()):
+                raise SnergError(
+                    f"The coarsest configuration takes about {needed:.0f} seconds, and of the {minutes:g} minutes {max(left, 0):.0f} s "
+                    "are left; give more minutes, fewer views or a lower resolution."
+                )
+            left_out.append("; ".join(f"{knob}: {value}" for knob, value in step.knobs))
+            continue
+        sweep.row(step, _named(within(progress, index / len(plan), (index + 1) / len(plan)), step))
+        ratios.append(min(max((time.monotonic() - begun) / max(expected, 1e-3), 0.3), 3.0))
+        if step.config == usual and FIELD not in sweep.rows:
+            done = (index + 1) / len(plan)
+            left_out += _fields(sweep, deadline, within(progress, done, done))
+    return left_out
+
+
+def _named(progress: Progress, step: Step) -> Progress:
+    """Progress that says which configuration it is about."""
+    what = "; ".join(f"{knob}: {value}" for knob, value in step.knobs[:2])
+    return lambda fraction, message: progress(fraction, f"{what}: {message}")
+
+
+def _fields(sweep: Sweep, deadline: float, progress: Progress) -> list[str]:
+    """Measure the fields themselves where there is time for it."""
+    left_out = []
+    for name in sweep.subject.fields:
+        if sweep.field_seconds(name) > deadline - time.monotonic():
+            left_out.append("the field itself" + (f" after {name}" if name else ""))
+        else:
+            sweep.field_row(name, progress)
+    return left_out
+
+
+def findings(sweep: Sweep, plan: Sequence[Step], usual: Config, about: dict[str, Any], left_out: list[str]) -> Findings:
+    """What the rows tell; where the usual configuration is not measured, the best one takes its place."""
+    rows = {key: row for key, row in sweep.rows.items() if row["config"] is not None}
+    known = {step.config.key for step in plan}
+    rows = {key: row for key, row in rows.items() if key in known}
+    fields = [row for row in sweep.rows.values() if row["config"] is None]
+    fields.sort(key=lambda row: row.get("trained_seconds") or 0)
+    taken = rows.get(next((s.config.key for s in plan if _same(s.config, usual)), ""))
+    if taken is None:
+        taken = max(rows.values(), key=lambda row: row["psnr"])
+    title = f"What accuracy costs: {Path(about['path']).name}"
+    return Findings(title, about, rows, fields, plan, left_out, taken)
+
+
+def _same(config: Config, usual: Config) -> bool:
+    return replace(config, refine=usual.refine) == usual
+
+
+def write(found: Findings, out: Path) -> None:
+    """study.json, study.csv, the plots and the report, each whole or not at all."""
+    (out / "plots").mkdir(exist_ok=True)
+    plots = write_plots(found, out / "plots")
+    rows = [*found.fields, *found.rows.values()]
+    told = accuracy(predictions(list(found.rows.values())))
+    value = {**found.about, "usual": found.usual["key"], "left_out": found.left_out, "rows": rows}
+    value["front"] = [row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")]
+    value["predictions_within_a_quarter"] = {name: list(pair) for name, pair in told.items()}
+    write_bytes(out / "study.json", json_bytes(value))
+    write_bytes(out / "study.csv", csv_of(rows, found.plan).encode())
+    write_bytes(out / "report.html", html(found, plots, out / "pictures").encode())
+
+
+def _chosen(sweep: Sweep, found: Findings, target: Target, out: Path, progress: Progress) -> Result:
+    """Write the scene of the row that has the target. Raises SnergError where none has."""
+    row, closest = choose(list(found.rows.values()), target)
+    if row is None:
+        near = (
+            ""
+            if closest is None
+            else (
+                f" The closest has {closest['psnr']:.2f} dB, {closest['megabytes']:.1f} MB and {closest['ms']:.0f} ms a frame "
+                f"({closest['key']} in {out / 'study.csv'})."
+            )
+        )
+        raise SnergError(f"No configuration that was measured has {target.text()}.{near}")
+    config = Config.from_json(row["config"])
+    snerg, _ = sweep.scene_of(config, progress)
+    write_scene(snerg, out / "scene", codec=config.codec)
+    return {"chosen": row["key"], "scene": str(out / "scene"), "psnr": row["psnr"], "ms": row["ms"], "megabytes": row["megabytes"]}

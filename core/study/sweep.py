@@ -1,0 +1,292 @@
+"""A study's measurements: each configuration baked, stored, read back and shown, and what that took (JAX where a field is baked).
+
+A row is written as soon as it is finished, and is never measured again: a study that was stopped or killed goes on.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..capture.camera import Camera
+from ..capture.dataset import Dataset
+from ..capture.images import over, png_bytes, to_uint8
+from ..describe import any_field, folder_bytes
+from ..errors import SnergError
+from ..evaluate import Score
+from ..export.scene import PNG, read_scene, write_scene
+from ..field.field import Field
+from ..field.networks import ViewNetwork
+from ..files import json_bytes, read_json, write_bytes
+from ..grid.bake import bake
+from ..grid.box import Box
+from ..grid.march import Frame, march
+from ..grid.refine import RefineSettings, refine
+from ..grid.snerg import Snerg
+from ..grid.tables import tables_of
+from ..progress import Progress, silent, within
+from .estimate import Estimate, estimate
+from .machine import watched
+from .plan import Config, Step
+from .survey import Survey, survey
+
+Row = dict[str, Any]
+FIELD = "field"  # the row of the field itself
+SMALL = 4  # times smaller, each way, is a picture that tells how long the whole takes
+WRITING = 4.0  # seconds to store a scene and read it back, beside what the estimate counts
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is studied. fields: folders of fields by name ('' where there is one); scene: a baked one, where no field is given.
+
+    views: those that are measured on, thinned out; training: the images to refine on, None where they are not there; box: of the
+    bakes, None for all that the field holds. background: what pictures are compared over. repeats: how often what is timed is done.
+    """
+
+    fields: dict[str, Path]
+    scene: Snerg | None
+    views: Dataset
+    training: Dataset | None
+    box: Box | None
+    background: tuple[float, float, float]
+    repeats: int = 1
+
+
+class Sweep:
+    """Rows of configurations in a folder: rows/KEY.json, pictures/KEY.png, and work/, scenes that more rows may need."""
+
+    def __init__(self, subject: Subject, out: Path) -> None:
+        """Raises SnergError when the folder's rows cannot be read."""
+        self.subject, self.out = subject, out
+        self.rows = {path.stem: read_row(path) for path in sorted((out / "rows").glob("*.json"))}
+        self._fields: dict[str, Field] = {}
+        self._surveys: dict[str, Survey] = {}
+        self._held: tuple[str, Snerg, dict[str, Any]] | None = None
+        self._stored: dict[tuple[str, bool, str], tuple[Snerg, dict[str, float]]] = {}
+
+    # What is there to begin with
+
+    @cached_property
+    def truth(self) -> list[np.ndarray]:
+        """The held-out pictures [H, W, 3] in [0, 1] over the background."""
+        return [over(self.subject.views.read(index), self.subject.background) for index in range(len(self.subject.views.views))]
+
+    def field(self, name: str) -> Field:
+        """A field by its name, read once."""
+        if name not in self._fields:
+            self._fields[name] = any_field(self.subject.fields[name])
+        return self._fields[name]
+
+    def survey(self, name: str) -> Survey:
+        """Of a field, for predictions; taken once."""
+        if name not in self._surveys:
+            self._surveys[name] = survey(self.field(name))
+        return self._surveys[name]
+
+    def predicted(self, config: Config) -> Estimate | None:
+        """What a configuration ought to take on this machine; None for a scene that is baked already."""
+        if self.subject.scene is not None:
+            return None
+        camera = self.subject.views.cameras[0]
+        looked = self.survey(config.field)
+        return estimate(looked, self._box(looked.field), config.bake, config.refine, (camera.width, camera.height))
+
+    def _box(self, field: Field) -> Box:
+        return self.subject.box if self.subject.box is not None else field.domain.world_box()
+
+    def needs(self, config: Config) -> float:
+        """Seconds that measuring a configuration will take, about: less where its bake is there already."""
+        count, said = len(self.subject.views.views) * self.subject.repeats, self.predicted(config)
+        if said is None:
+            known = [row["ms"] / 1e3 for row in self.rows.values() if "ms" in row]
+            return WRITING + count * (statistics.median(known) if known else 1.0)
+        slower = 12.0 if config.march.per_sample_network else 1.0  # measured: of scenes with features
+        seconds = count * (slower * said.preview + 0.1) + WRITING
+        if not self._baked_already(config):
+            seconds += said.bake + said.tables
+        if config.refine and not (self._work(config) / "refined.npz").is_file():
+            seconds += said.seconds.get("refine", 0.0)
+        return seconds
+
+    # One row
+
+    def row(self, step: Step, progress: Progress = silent) -> Row:
+        """Measure a configuration, and write its row and its picture. Raises Cancelled when `progress` does: then nothing is written."""
+        config = step.config
+        said = self.predicted(config)
+        snerg, told = self.scene_of(config, within(progress, 0, 0.5))
+        shown, stored = self._shown(config, snerg)
+        row: Row = {"key": config.key, "config": config.to_json(), **told, **stored}
+        row["seconds"] = told["seconds"] | {name: value for name, value in stored.items() if name in ("write", "read")}
+        began = time.perf_counter()
+        tables_of(shown)
+        row["seconds"]["tables"] = round(time.perf_counter() - began, 3)
+        row |= self._measured(config.key, lambda camera: march(shown, camera, config.march), config.page, within(progress, 0.6, 1))
+        row |= {"blocks": len(shown.cells), "memory_megabytes": round(shown.cells.nbytes / 1e6, 1), "voxels": list(shown.shape)}
+        if said is not None:
+            row["predicted"] = self._prediction(said, config)
+        return self._keep(row)
+
+    def field_row(self, name: str, progress: Progress = silent) -> Row:
+        """Measure a field itself (JAX)."""
+        from ..field.render import render_field
+
+        field = self.field(name)
+        key = FIELD + (f"-{name.replace(' ', '-')}" if name else "")
+        row: Row = {"key": key, "config": None, "field": name, "trained_seconds": field.about.get("seconds")}
+        row |= self._measured(key, lambda camera: render_field(field, camera), False, progress)
+        return self._keep(row | {"megabytes": round(folder_bytes(self.subject.fields[name]) / 1e6, 3)})
+
+    def field_seconds(self, name: str) -> float:
+        """What measuring a field itself will take, by a small picture of it (JAX)."""
+        from ..field.render import render_field
+
+        camera, field = self.subject.views.cameras[0], self.field(name)
+        small = camera.resized(*(max(8, side // SMALL) for side in (camera.width, camera.height)))
+        render_field(field, small)
+        began = time.perf_counter()
+        render_field(field, small)
+        return (time.perf_counter() - began) * SMALL**2 * len(self.subject.views.views) * self.subject.repeats
+
+    def _keep(self, row: Row) -> Row:
+        (self.out / "rows").mkdir(exist_ok=True)
+        write_bytes(self.out / "rows" / f"{row['key']}.json", json_bytes(row))
+        self.rows[row["key"]] = row
+        return row
+
+    def _measured(self, key: str, render: Any, page: bool, progress: Progress) -> Row:
+        """Quality on the views, and milliseconds a frame: the median and the 95th percentile over the views of medians over repeats."""
+        views, score = self.subject.views, Score()
+        render(views.cameras[0].resized(32, 32))  # what is done once a scene, or compiled, is no part of a frame
+        count, middle = len(views.views), len(views.views) // 2
+        for index, (camera, truth) in enumerate(zip(views.cameras, self.truth, strict=True)):
+            frame, seconds = self._repeated(render, camera)
+            picture = frame.over(self.subject.background)
+            picture = to_uint8(picture).astype(np.float32) / 255 if page else picture
+            score.add(picture, truth, seconds, views.mask(index), camera.name)
+            if index == middle:
+                write_picture(self.out / "pictures" / f"{key}.png", picture)
+                write_picture(self.out / "pictures" / "truth.png", truth)
+            progress((index + 1) / count, f"View {index + 1} of {count}: {score.text()}")
+        result = score.result()
+        ms = [1e3 * seconds for seconds in score.seconds]
+        timed = {"ms": round(statistics.median(ms), 3), "ms_95": round(float(np.percentile(ms, 95)), 3)}
+        psnr = 100.0 if result["psnr"] is None else result["psnr"]
+        each = [100.0 if view["psnr"] is None else view["psnr"] for view in score.views()]
+        return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
+
+    def _repeated(self, render: Any, camera: Camera) -> tuple[Frame, float]:
+        seconds = []
+        for _ in range(self.subject.repeats):
+            began = time.perf_counter()
+            frame: Frame = render(camera)
+            seconds.append(time.perf_counter() - began)
+        return frame, statistics.median(seconds)
+
+    def _prediction(self, said: Estimate, config: Config) -> dict[str, float]:
+        """In the row's own terms; a bake's compiling is done by the survey."""
+        result = {"bake": said.bake - said.seconds.get("start", 0.0), "ms": 1e3 * said.preview, "megabytes": said.megabytes}
+        result["peak_megabytes"] = said.peak_megabytes
+        if "refine" in said.seconds and config.refine:
+            result["refine"] = said.seconds["refine"]
+        return {name: round(value, 3) for name, value in result.items()}
+
+    # Scenes
+
+    def scene_of(self, config: Config, progress: Progress = silent) -> tuple[Snerg, dict[str, Any]]:
+        """The scene of a configuration before it is stored, and {"seconds": of its stages, "peak_megabytes", "samples"}."""
+        snerg, told = self._baked(config, within(progress, 0, 0.7))
+        if not config.refine or self.subject.scene is not None or snerg.network is None or self.subject.training is None:
+            return snerg, told
+        path = self._work(config) / "refined.npz"
+        if not path.is_file():
+            red, green, blue = self.subject.background
+            settings, began = RefineSettings(background=(red, green, blue)), time.perf_counter()
+            better, _ = refine(snerg, self.subject.training, settings, within(progress, 0.7, 1))
+            assert better.network is not None
+            save_arrays(path, **better.network._asdict(), seconds=np.array(time.perf_counter() - began))
+        with np.load(path) as kept:
+            network, took = ViewNetwork(*(kept[name] for name in ViewNetwork._fields)), float(kept["seconds"])
+        return replace(snerg, network=network), told | {"seconds": told["seconds"] | {"refine": round(took, 3)}}
+
+    def _baked(self, config: Config, progress: Progress) -> tuple[Snerg, dict[str, Any]]:
+        """The scene as it is baked, from memory, from an earlier run or from the field."""
+        if self.subject.scene is not None:
+            return self.subject.scene, {"seconds": {}}
+        if self._held is not None and self._held[0] == config.baked:
+            return self._held[1:]
+        folder = self._work(config)
+        if not self._baked_already(config):
+            self._bake(config, folder, progress)
+        self._held, self._stored = (config.baked, read_scene(folder / "scene"), read_json(folder / "baked.json")), {}
+        return self._held[1:]
+
+    def _bake(self, config: Config, folder: Path, progress: Progress) -> None:
+        field = self.survey(config.field).field  # so that what is compiled once is no part of the first bake
+        stages: list[dict[str, float]] = []
+        with watched() as peak:
+            for turn in range(self.subject.repeats):
+                part = within(progress, turn / self.subject.repeats, (turn + 1) / self.subject.repeats)
+                snerg = bake(field, self._box(field), field.cameras, config.bake, part)
+                stages.append(snerg.about["bake"]["seconds"])
+        seconds = {name: round(statistics.median(lap[name] for lap in stages), 3) for name in stages[0]}
+        told = {"seconds": {"bake": round(sum(seconds.values()), 3), **seconds}, "samples": snerg.about["bake"]["samples"]}
+        told["peak_megabytes"] = None if peak.most is None else round(peak.most / 1e6)
+        told["kept_voxels"] = snerg.about["bake"]["voxels"]
+        folder.mkdir(parents=True, exist_ok=True)
+        write_scene(snerg, folder / "scene")
+        write_bytes(folder / "baked.json", json_bytes(told))
+
+    def _shown(self, config: Config, snerg: Snerg) -> tuple[Snerg, dict[str, float]]:
+        """The scene as its files give it back, {"megabytes", "write", "read"}; what is read is the same where nothing is lost."""
+        key = (config.baked, config.refine, str(config.codec.to_json()))
+        if key in self._stored:
+            return self._stored[key]
+        folder = self.out / "work" / "stored"
+        began = time.perf_counter()
+        write_scene(snerg, folder, codec=config.codec if snerg.quantised else PNG)
+        written = time.perf_counter()
+        shown = read_scene(folder)
+        told = {"write": round(written - began, 3), "read": round(time.perf_counter() - written, 3)}
+        told["megabytes"] = round(folder_bytes(folder) / 1e6, 3)
+        self._stored = {key: (shown, told)}  # one at a time: they are large
+        return shown, told
+
+    def _work(self, config: Config) -> Path:
+        return self.out / "work" / config.baked
+
+    def _baked_already(self, config: Config) -> bool:
+        return (self._work(config) / "baked.json").is_file()
+
+
+def read_row(path: Path) -> Row:
+    """A row of an earlier run. Raises SnergError when it is none."""
+    row = read_json(path)
+    if not (isinstance(row, dict) and {"key", "config", "psnr", "ms", "megabytes"} <= row.keys() and row["key"] == path.stem):
+        raise SnergError(f"{path} is no row of a study; delete it to have it measured again.")
+    try:
+        row["config"] is None or Config.from_json(row["config"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise SnergError(f"{path} has a configuration that cannot be read ({error}); delete it to have it measured again.") from error
+    return row
+
+
+def write_picture(path: Path, picture: np.ndarray) -> None:
+    """A PNG, in a folder that is made where it is missing."""
+    path.parent.mkdir(exist_ok=True)
+    write_bytes(path, png_bytes(to_uint8(picture)))
+
+
+def save_arrays(path: Path, **arrays: np.ndarray) -> None:
+    """An .npz, whole or not at all."""
+    from ..files import new_file
+
+    with new_file(path) as file:
+        np.savez(file, **arrays)
