@@ -177,6 +177,7 @@ def parser() -> argparse.ArgumentParser:
         default = getattr(usual, name)
         sweep.add_argument(f"--{name}", type=kind, default=default, metavar=letter, help=f"{about} (default: %(default)s)")
     sweep.add_argument("--box", type=Path, metavar="BOX.json", help="of the bakes (default: all that the field holds)")
+    sweep.add_argument("--paper", action="store_true", help="also train fields of other kinds, for the paper's tables")
     wanted = sweep.add_argument_group("targets", "The cheapest configuration measured that has them all is written to DIR/scene.")
     wanted.add_argument("--target-db", type=positive, metavar="DB", help="at least so good on held-out views")
     wanted.add_argument("--target-mb", type=positive, metavar="MB", help="at most so many megabytes")
@@ -283,7 +284,7 @@ def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]
 def _study(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     with needs_jax():
         from .study.study import study
-    settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box)
+    settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box, paper=options.paper)
     target = Target(options.target_db, options.target_mb, options.target_ms)
     return study(options.source, options.out, options.dataset, settings, target, progress)
 

@@ -23,6 +23,7 @@ PAGE_STOP = 1 / 1024  # light at which a ray of the web page ends (viewer/src/ma
 class StudySettings:
     """minutes: the time that measuring may take; what is left over is told, and done when the study goes on. resolution: the usual
     one. views: held-out views at most; repeats: how often what is timed is done (medians are kept). box: of the bakes.
+    paper: whether fields of other kinds are trained for the paper's tables.
     """
 
     minutes: float = 30.0
@@ -31,6 +32,7 @@ class StudySettings:
     repeats: int = 1
     box: Path | None = None
     seed: int = 0
+    paper: bool = False
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from PIL import Image
 from ..capture.images import png_bytes, read_image
 from .front import front
 from .machine import machine_line
+from .paper import WHY, cell, tables
 from .plan import RESOLUTION, Step
 from .plots import (
     ablations,
@@ -28,6 +29,7 @@ from .plots import (
 from .summary import PREDICTED, Point, Row, accuracy, difference, knobs, making, predictions, stages
 
 CROP, ZOOM = 96, 3  # pixels of a picture's crop, and how many times larger it is shown
+COLUMN = {"ms": "ms a frame", "memory_gb": "GB in memory", "psnr": "PSNR", "ssim": "SSIM", "megabytes": "MB", "fps": "FPS"}
 LIKE = 1.2  # times a frame up to which two of them take as long
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1f2937; max-width: 1080px; margin: 2rem auto; padding: 0 1rem; }
@@ -55,6 +57,11 @@ class Findings:
     usual: Row
 
     @property
+    def field(self) -> Row | None:
+        """The row of the field that the usual configuration is baked from."""
+        return next((row for row in self.fields if row["field"] == self.usual["config"]["field"]), None)
+
+    @property
     def paths(self) -> dict[str, list[Point]]:
         """See `summary.knobs`."""
         return knobs(self.rows, self.plan, self.usual["key"])
@@ -74,7 +81,7 @@ def write_plots(found: Findings, folder: Path) -> dict[str, dict[str, bytes]]:
         made["error-and-time"] = error_against_time(rows, paths, found.usual)
     if RESOLUTION in paths or any(len(path) > 1 for path in paths.values()):
         made["rate-and-distortion"] = rate_and_distortion(paths, rows)
-    if len(steps := stages(found.rows, found.plan, _first(found.fields))) > 1:
+    if len(steps := stages(found.rows, found.plan, found.field)) > 1:
         made["stages"] = waterfall(steps)
     if changes := changed(found):
         made["ablations"] = ablations([(what, gain, half) for what, gain, half, _ in changes])
@@ -99,7 +106,7 @@ def changed(found: Findings) -> list[tuple[str, float, float, Row]]:
 def html(found: Findings, plots: dict[str, dict[str, bytes]], pictures: Path) -> str:
     """The report. pictures: the folder of KEY.png and truth.png."""
     parts = [_head(found), _fronts(found, plots), _rates(plots), _stages(found, plots), _ablations(found, plots)]
-    parts += [_equal_time(found, pictures), _predictions(found, plots), _table(found), _hardware(found)]
+    parts += [_equal_time(found, pictures), _predictions(found, plots), _paper(found), _table(found), _hardware(found)]
     body = "\n".join(part for part in parts if part)
     title = escape(found.title)
     head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
@@ -116,7 +123,8 @@ def _head(found: Findings) -> str:
     ]
     lines += [f"<p>{escape(note)}</p>" for note in about.get("notes", [])]
     if found.left_out:
-        lines.append(f"<p>The time was up before: {escape(', '.join(found.left_out))}. The same command with more minutes goes on.</p>")
+        told = f"{len(found.left_out)} more did not fit into the time; the same command goes on with them"
+        lines.append(f"<details><summary>{told}.</summary>{escape(', '.join(found.left_out))}</details>")
     return "\n".join(lines)
 
 
@@ -144,7 +152,7 @@ def _rates(plots: dict[str, dict[str, bytes]]) -> str:
 def _stages(found: Findings, plots: dict[str, dict[str, bytes]]) -> str:
     if "stages" not in plots:
         return ""
-    steps = stages(found.rows, found.plan, _first(found.fields))
+    steps = stages(found.rows, found.plan, found.field)
     told = ", ".join(f"{name} {row['psnr']:.2f} dB {_key(row)}" for name, row in steps)
     about = (
         "<p>Where quality goes between the training images and the web page: the grid alone (floats, nothing culled), what no camera sees "
@@ -214,6 +222,20 @@ def _predictions(found: Findings, plots: dict[str, dict[str, bytes]]) -> str:
     return f"<h2>Predicted and measured</h2><p>Within a quarter: {told}.</p>{_figure(plots, 'predictions', 'Grey: within a quarter.')}"
 
 
+def _paper(found: Findings) -> str:
+    parts = []
+    for table in tables(found.rows, found.fields, found.plan, found.usual, found.field):
+        head = "".join(f"<th>{escape(COLUMN[name])}</th>" for name in table.columns)
+        lines = []
+        for name, row, published in table.rows:
+            ours = "".join(f"<td>{cell(row, column)}</td>" for column in table.columns)
+            theirs = ", ".join("—" if value is None else f"{value:g}" for value in published)
+            lines.append(f"<tr><td>{escape(name)}</td><td>{_key(row) if row else ''}</td>{ours}<td>{theirs}</td></tr>")
+        head = f"<tr><th>{escape(table.title)}</th><th>row</th>{head}<th>published ({escape(table.published)})</th></tr>"
+        parts.append(f"<p></p><table>{head}{''.join(lines)}</table>")
+    return f"<h2>The paper's tables</h2><p>{escape(WHY)}</p>{''.join(parts)}"
+
+
 def _table(found: Findings) -> str:
     marked = {row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")}
     known = {step.config.key: "; ".join(f"{knob}: {value}" for knob, value in step.knobs) for step in found.plan}
@@ -252,7 +274,3 @@ def _image(picture: np.ndarray) -> str:
 
 def _key(row: Row) -> str:
     return f"<code>{escape(row['key'])}</code>"
-
-
-def _first(fields: list[Row]) -> Row | None:
-    return fields[-1] if fields else None

@@ -27,10 +27,11 @@ from ..grid.box import Box
 from ..progress import Progress, silent, within
 from .front import Target, choose, front
 from .machine import describe_machine
+from .paper import BAKED, PAPER, VARIANTS
 from .plan import Config, Step, StudySettings, available, steps
 from .report import Findings, html, write_plots
 from .summary import accuracy, csv_of, predictions
-from .sweep import FIELD, Subject, Sweep
+from .sweep import Subject, Sweep, field_key
 
 VERSION = 1
 USUAL, ANY = StudySettings(), Target()
@@ -79,6 +80,8 @@ def study(
     sweep = Sweep(subject, out)
     plan = _plan(sweep, usual, subject)
     left_out = measure(sweep, plan, usual, deadline, settings.minutes, within(progress, 0.3 if kind == "dataset" else 0.02, 0.95))
+    if settings.paper and subject.scene is None:
+        left_out += variants(sweep, plan, usual, deadline, settings, within(progress, 0.95, 0.95))
     found = findings(sweep, plan, usual, about, left_out)
     write(found, out)
     result: Result = {"out": str(out), "report": str(out / "report.html"), "configurations": len(found.rows), "left_out": len(left_out)}
@@ -217,10 +220,9 @@ def measure(sweep: Sweep, plan: Sequence[Step], usual: Config, deadline: float, 
             continue
         sweep.row(step, _named(within(progress, index / len(plan), (index + 1) / len(plan)), step))
         ratios.append(min(max((time.monotonic() - begun) / max(expected, 1e-3), 0.3), 3.0))
-        if step.config == usual and FIELD not in sweep.rows:
-            done = (index + 1) / len(plan)
-            left_out += _fields(sweep, deadline, within(progress, done, done))
-    return left_out
+        if step.config == usual:
+            fields(sweep, deadline, within(progress, (index + 1) / len(plan), (index + 1) / len(plan)))
+    return left_out + fields(sweep, deadline, within(progress, 1, 1))
 
 
 def _named(progress: Progress, step: Step) -> Progress:
@@ -229,15 +231,44 @@ def _named(progress: Progress, step: Step) -> Progress:
     return lambda fraction, message: progress(fraction, f"{what}: {message}")
 
 
-def _fields(sweep: Sweep, deadline: float, progress: Progress) -> list[str]:
-    """Measure the fields themselves where there is time for it."""
+def fields(sweep: Sweep, deadline: float, progress: Progress) -> list[str]:
+    """Measure the fields themselves where there is time for it; returns what was left out."""
     left_out = []
     for name in sweep.subject.fields:
+        if field_key(name) in sweep.rows:
+            continue
         if sweep.field_seconds(name) > deadline - time.monotonic():
-            left_out.append("the field itself" + (f" after {name}" if name else ""))
+            left_out.append(f"the field itself ({name})" if name else "the field itself")
         else:
             sweep.field_row(name, progress)
     return left_out
+
+
+def variants(sweep: Sweep, plan: list[Step], usual: Config, deadline: float, settings: StudySettings, progress: Progress) -> list[str]:
+    """Train the fields of the paper's tables, each as long as the usual one, where there is time for it, and measure them and what is
+    baked of them; their steps are added to the plan. Returns what was left out."""
+    from ..field.train import train
+
+    subject, left_out = sweep.subject, []
+    about = sweep.field(usual.field).about
+    seconds = about.get("seconds")
+    if subject.training is None or not seconds:
+        return ["the paper's other fields (this one does not say how long it was trained)"]
+    for turn, (name, changes) in enumerate(VARIANTS.items()):
+        folder, part = sweep.out / "fields" / name.replace(" ", "-"), within(progress, turn / len(VARIANTS), (turn + 1) / len(VARIANTS))
+        begun = is_field(folder)
+        if not (begun and any_field(folder).about.get("seconds", 0) >= seconds):
+            if seconds > deadline - time.monotonic():
+                left_out.append(f"the paper's field {name!r}")
+                continue
+            background = about.get("settings", {}).get("background", "white")
+            told = replace(PRESETS["fast"], seconds=float(seconds), seed=settings.seed, background=background, **changes)
+            train(subject.training, told, folder, part, begun)
+        subject.fields[name] = folder
+    extra = [Step(replace(usual, field=name, refine=name != "diffuse" and usual.refine), ((PAPER, name),)) for name in BAKED]
+    extra = [step for step in extra if step.config.field in subject.fields]
+    plan += extra
+    return left_out + measure(sweep, extra, usual, deadline, settings.minutes, within(progress, 1, 1))
 
 
 def findings(sweep: Sweep, plan: Sequence[Step], usual: Config, about: dict[str, Any], left_out: list[str]) -> Findings:

@@ -37,7 +37,7 @@ from .plan import Config, Step
 from .survey import Survey, survey
 
 Row = dict[str, Any]
-FIELD = "field"  # the row of the field itself
+FIELD = "field"
 SMALL = 4  # times smaller, each way, is a picture that tells how long the whole takes
 WRITING = 4.0  # seconds to store a scene and read it back, beside what the estimate counts
 
@@ -139,7 +139,7 @@ class Sweep:
         from ..field.render import render_field
 
         field = self.field(name)
-        key = FIELD + (f"-{name.replace(' ', '-')}" if name else "")
+        key = field_key(name)
         row: Row = {"key": key, "config": None, "field": name, "trained_seconds": field.about.get("seconds")}
         row |= self._measured(key, lambda camera: render_field(field, camera), False, progress)
         return self._keep(row | {"megabytes": round(folder_bytes(self.subject.fields[name]) / 1e6, 3)})
@@ -264,6 +264,11 @@ class Sweep:
 
     def _baked_already(self, config: Config) -> bool:
         return (self._work(config) / "baked.json").is_file()
+
+
+def field_key(name: str) -> str:
+    """The key of the row of a field itself."""
+    return FIELD + (f"-{name.replace(' ', '-')}" if name else "")
 
 
 def read_row(path: Path) -> Row:

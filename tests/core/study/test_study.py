@@ -126,6 +126,16 @@ def test_a_baked_scene_is_stored_and_marched_otherwise(studied, field, dataset, 
 
 
 @pytest.mark.slow
+def test_the_papers_tables_have_all_their_rows(dataset, tmp_path):
+    verbs.train_field(dataset, tmp_path / "field", minutes=0.1, values={"view_dependence": "deferred"})
+    study(tmp_path / "field", tmp_path / "out", settings=StudySettings(minutes=6, resolution=24, views=1, paper=True))
+    report = (tmp_path / "out" / "report.html").read_text()
+    told = report[report.index("The paper's tables") : report.index("Every row")]
+    missing = [line for line in told.split("<tr>") if "<td>—</td>" in line]
+    assert [line for line in missing if "the field" not in line] == [] and "34.67, 0.976" in told
+
+
+@pytest.mark.slow
 def test_a_dataset_is_trained_for_some_times(dataset, tmp_path):
     settings = StudySettings(minutes=5, resolution=16, views=1)
     result = study(dataset, tmp_path / "out", settings=settings)
