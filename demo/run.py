@@ -77,7 +77,7 @@ def main() -> int:
         return 0
     views, held_out = read_dataset(options.out / "dataset", "train"), read_dataset(options.out / "dataset", "test")
     with watch.stage("train"):
-        # Its highlights are small: the short trial of view dependence cannot tell them from chance, a whole training can.
+        # So short a training hardly gains by view dependence here, and 'auto' would leave it out: the demo shows the whole method.
         settings = replace(PRESETS["fast"], seconds=60 * options.minutes, view_dependence="deferred")
         field = train(views, settings, options.out / "field", watch.progress)
     with watch.stage("bake"):

@@ -19,6 +19,7 @@ def classes() -> tuple[type[Any], ...]:
         open_folder,
         preview,
         render_dataset,
+        study,
         train,
     )
 
@@ -31,6 +32,7 @@ def classes() -> tuple[type[Any], ...]:
         add_box.SNERG_OT_add_box,
         bake.SNERG_OT_bake,
         preview.SNERG_OT_preview,
+        study.SNERG_OT_study,
         export_scene.SNERG_OT_export_scene,
         export_web.SNERG_OT_export_web,
         cancel.SNERG_OT_cancel,

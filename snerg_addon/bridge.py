@@ -18,6 +18,7 @@ from ..core.grid.box import Box
 
 SENSOR = 36.0  # mm across the picture, of cameras that we make
 PREVIEW = "SNeRG Preview"
+STUDY = "SNeRG Study"
 BOX = "SNeRG Box"
 
 

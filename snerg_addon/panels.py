@@ -9,7 +9,7 @@ import bpy
 
 from ..operators.train import training_arguments
 from . import activity
-from .bridge import PREVIEW, resolution
+from .bridge import PREVIEW, STUDY, resolution
 from .curve import Curve, curve_of
 from .project import Project, is_temporary, project_of
 from .properties import LOSSY
@@ -289,6 +289,31 @@ class SNERG_PT_preview(_Step, bpy.types.Panel):
             facts(layout, f"{width} x {height} px in the image {PREVIEW!r}")
 
 
+class SNERG_PT_study(_Step, bpy.types.Panel):
+    """What accuracy costs"""
+
+    bl_label = "Study"
+    bl_idname = "SNERG_PT_study"
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        """There is a report."""
+        return "study" in project_of(context.scene).notes()
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """How long to measure, and where the report is."""
+        column = layout.column(align=True)
+        column.prop(settings, "study_minutes")
+        column.prop(settings, "target_db")
+        layout.operator("snerg.study", icon="GRAPH")
+        note = project_of(context.scene).notes().get("study", {})
+        if note:
+            left = f"{note['left_out']} left for another time" if note.get("left_out") else ""
+            facts(layout, joined(f"{note.get('configurations', 0)} configurations", left))
+            layout.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(note.get("report", ""))
+        if STUDY in bpy.data.images:
+            facts(layout, f"Beside the truth: the image {STUDY!r}")
+
+
 class SNERG_PT_export(_Step, bpy.types.Panel):
     """The baked scene elsewhere"""
 
@@ -325,5 +350,6 @@ CLASSES = (
     SNERG_PT_box,
     SNERG_PT_bake,
     SNERG_PT_preview,
+    SNERG_PT_study,
     SNERG_PT_export,
 )

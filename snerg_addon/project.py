@@ -48,6 +48,11 @@ class Project:
         return self.folder / "web"
 
     @property
+    def studies(self) -> Path:
+        """Studies, a folder each."""
+        return self.folder / "studies"
+
+    @property
     def box(self) -> Path:
         """The box as the last bake used it, JSON."""
         return self.folder / "box.json"

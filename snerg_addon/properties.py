@@ -166,6 +166,20 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         soft_min=64,
         soft_max=800,
     )
+    study_minutes: FloatProperty(
+        name="Minutes",
+        description="How long a study may measure. What does not fit is measured when it is started again",
+        default=10.0,
+        min=0.5,
+        soft_max=60.0,
+    )
+    target_db: FloatProperty(
+        name="Target dB",
+        description="Bake the cheapest configuration measured that is at least so good on held-out views. 0: bake none",
+        default=0.0,
+        min=0.0,
+        soft_max=45.0,
+    )
     voxel_size: FloatProperty(
         name="Voxel Size",
         description="How large a voxel is, in place of their number. 0: go by the number",

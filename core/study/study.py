@@ -11,10 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..capture.dataset import Dataset, DatasetOptions, read_dataset
+from ..capture.images import read_image, write_png
 from ..describe import Result, any_field, any_scene, kind_of
 from ..errors import SnergError
-from ..evaluate import held_out, options_of, trained
+from ..evaluate import COLUMNS, held_out, options_of, trained
 from ..export.codecs import SUFFIXES
 from ..export.scene import write_scene
 from ..field.checkpoint import is_field
@@ -28,6 +31,7 @@ from ..progress import Progress, silent, within
 from .front import Target, choose, front
 from .machine import describe_machine
 from .paper import BAKED, PAPER, VARIANTS
+from .pictures import contact_sheet, error_picture
 from .plan import Config, Step, StudySettings, available, steps
 from .report import Findings, html, write_plots
 from .summary import accuracy, csv_of, predictions
@@ -39,6 +43,7 @@ TRAINING_SHARE = 0.25  # of a dataset's study goes into its longest training
 TRAININGS = (0.25, 0.5, 1.0)  # of that, the lengths that are tried, where the study is so long (minutes) that set-up is little of it:
 LONG = 5.0
 HOLDOUT = 8
+SHOWN = 5  # configurations on the sheet of pictures
 
 
 def study(
@@ -300,7 +305,21 @@ def write(found: Findings, out: Path) -> None:
     value["predictions_within_a_quarter"] = {name: list(pair) for name, pair in told.items()}
     write_bytes(out / "study.json", json_bytes(value))
     write_bytes(out / "study.csv", csv_of(rows, found.plan).encode())
+    write_png(out / "contact.png", beside_the_truth(found, out / "pictures"))
     write_bytes(out / "report.html", html(found, plots, out / "pictures").encode())
+
+
+def beside_the_truth(found: Findings, pictures: Path) -> np.ndarray:
+    """uint8 [H, W, 3]: one view of some configurations of the front, from the best on, beside the truth."""
+    truth = read_image(pictures / "truth.png")[..., :3].astype(np.float32) / 255
+    marked = sorted(front(list(found.rows.values()), "ms", "megabytes"), key=lambda row: -row["psnr"])
+    some = [marked[index] for index in np.unique(np.linspace(0, len(marked) - 1, SHOWN).round().astype(int))]
+    rows = []
+    for row in some:
+        picture = read_image(pictures / f"{row['key']}.png")[..., :3].astype(np.float32) / 255
+        name = f"{row['psnr']:.2f} dB, {row['ms']:.0f} ms, {row['megabytes']:.1f} MB"
+        rows.append((name, [truth, picture, error_picture(truth, picture)]))
+    return contact_sheet(rows, COLUMNS, 480)
 
 
 def _chosen(sweep: Sweep, found: Findings, target: Target, out: Path, progress: Progress) -> Result:

@@ -12,8 +12,10 @@ from stage import add_camera, add_plane
 
 from snerg.core.cli import parser
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.verbs import train_field
 from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity, Steps
+from snerg.snerg_addon.bridge import STUDY
 from snerg.snerg_addon.panels import next_step
 from snerg.snerg_addon.project import project_of
 
@@ -34,6 +36,7 @@ def test_each_step_says_what_it_is_waiting_for(scene):
     for verb, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
+        ("study", "no field"),
         ("preview", "no baked scene"),
         ("export_scene", "no baked scene"),
         ("export_web", "no baked scene"),
@@ -74,6 +77,20 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
     for verb in ("bake", "export_web"):  # every option is one that there is
         assert parser().parse_args(started(monkeypatch, verb)).verb == verb.replace("export_web", "bundle")
+
+
+@pytest.mark.slow
+def test_a_study_shows_its_pictures_in_blender(scene, dataset, monkeypatch):
+    """From a trained field to an image; the same settings go on with the same study."""
+    project = project_of(scene)
+    train_field(dataset, project.field, steps=60)
+    scene.snerg.resolution, scene.snerg.study_minutes = 16, 1.0
+    assert bpy.ops.snerg.study() == {"FINISHED"}
+    note = project.notes()["study"]
+    assert Path(note["report"]).is_file() and note["configurations"] >= 3
+    assert bpy.data.images[STUDY].size[0] > 100
+    again = started(monkeypatch, "study")
+    assert again[again.index("--out") + 1] == note["out"] and parser().parse_args(again).verb == "study"
 
 
 def test_a_box_without_volume_is_refused(scene):

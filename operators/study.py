@@ -1,0 +1,56 @@
+"""What accuracy costs, measured on the field."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.files import json_bytes, write_bytes
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.bridge import STUDY, box_from_blender
+from ..snerg_addon.capture import evaluated
+from ..snerg_addon.project import Project, remember
+from .job_runner import LongVerb
+
+
+class SNERG_OT_study(LongVerb, bpy.types.Operator):
+    """Measure what resolution, samples, codecs and other choices cost in quality, time and bytes, and write a report"""
+
+    bl_idname = "snerg.study"
+    bl_label = "Study"
+    bl_options = {"REGISTER"}
+    step, label = "study", "Studying"
+    needs = "field"
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`study` of the command line, with the panel's resolution as the usual one; each field, box and resolution has a folder of its
+        own, so that a study goes on only with what belongs to it."""
+        settings = context.scene.snerg
+        arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
+        forward = bool(project.notes().get("field", {}).get("ndc"))
+        where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
+        if settings.box and not forward:
+            box = json_bytes(box_from_blender(settings.box, evaluated(context.scene)).to_json())
+            where += f"-{zlib.crc32(box):08x}"
+            path = project.studies / f"{where}.json"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(path, box)
+            arguments += ["--box", str(path)]
+        if settings.target_db:
+            arguments += ["--target-db", f"{settings.target_db:g}"]
+        return start_verb([*arguments, "--out", str(project.studies / where)])
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Show its pictures beside the truth as an image, and note where the report is."""
+        folder = Path(result["out"])
+        old = bpy.data.images.get(STUDY)
+        if old is not None:
+            bpy.data.images.remove(old)
+        image = bpy.data.images.load(str(folder / "contact.png"))
+        image.name = STUDY
+        remember(project, "study", folder, result)
+        return f"Measured {result['configurations']} configurations; the report is {result['report']}"
