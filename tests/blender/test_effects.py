@@ -1,0 +1,91 @@
+"""Only the effects that a scene calls for, end to end: a matte scene and a mirror-like one, made, trained, baked and bundled."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from snerg.core import verbs
+from snerg.core.capture.dataset import read_dataset
+from snerg.core.describe import any_scene, folder_bytes
+from snerg.core.evaluate import evaluate
+from snerg.core.field.trial import EFFECT
+from snerg.core.grid.bake import BakeSettings
+from snerg.core.grid.march import march
+from snerg.snerg_addon.bridge import box_from_blender
+from snerg.snerg_addon.capture import evaluated, render_dataset
+
+ROOT = Path(__file__).parents[2]
+STEPS = 1200
+
+
+def rendered(out: Path, metallic: float, roughness: float, specular: float) -> Path:
+    """The demo's objects, all of one finish, before 40 cameras."""
+    sys.path.insert(0, str(ROOT / "demo"))
+    try:
+        from build_scene import build
+    finally:
+        sys.path.remove(str(ROOT / "demo"))
+    scene = build(size=120, samples=8, cameras=40)
+    for material in bpy.data.materials:
+        for node in material.node_tree.nodes if material.node_tree else ():
+            if node.type == "BSDF_PRINCIPLED":
+                node.inputs["Metallic"].default_value, node.inputs["Roughness"].default_value = metallic, roughness
+                node.inputs["Specular IOR Level"].default_value, node.inputs["Coat Weight"].default_value = specular, 0.0
+    bpy.context.view_layer.update()
+    cameras = sorted((thing for thing in scene.objects if thing.type == "CAMERA"), key=lambda thing: thing.name)
+    render_dataset(scene, cameras, out, box=box_from_blender(scene.snerg.box, evaluated(scene)))
+    return out
+
+
+def trained(dataset: Path, out: Path, **values: str) -> str:
+    """Train; returns what was decided on view dependence."""
+    decisions = verbs.train_field(dataset, out, steps=STEPS, values=values)["decisions"]
+    return next((str(d["chosen"]) for d in decisions if d["effect"] == EFFECT), "")
+
+
+@pytest.mark.slow
+def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
+    dataset = rendered(tmp_path / "matte", metallic=0.0, roughness=1.0, specular=0.0)
+    assert trained(dataset, tmp_path / "auto") == "diffuse"
+    trained(dataset, tmp_path / "forced", view_dependence="deferred")
+    sizes, quality, seconds = {}, {}, {}
+    for name in ("auto", "forced"):
+        baked, page = tmp_path / f"{name}-scene", tmp_path / f"{name}-page"
+        verbs.bake_scene(tmp_path / name, baked, BakeSettings(resolution=320))  # so fine that refining has nothing to make up for
+        verbs.bundle_scene(baked, page)
+        sizes[name], quality[name] = folder_bytes(page / "scene"), evaluate(baked, dataset)["psnr"]
+        seconds[name] = frame_seconds(baked, dataset)
+    files = [path.name for path in (tmp_path / "auto-page").rglob("*")]
+    assert not any(name.startswith("feature") for name in files) and any(name.startswith("rgba") for name in files)
+    assert any(path.name.startswith("feature") for path in (tmp_path / "forced-page").rglob("*"))
+    assert any_scene(tmp_path / "auto-page").network is None
+    assert sizes["auto"] < sizes["forced"] * 2 / 3, sizes
+    assert quality["auto"] > quality["forced"] - 0.1, quality
+    assert seconds["auto"] < seconds["forced"], seconds
+
+
+def frame_seconds(scene: Path, dataset: Path) -> float:
+    """Of the quickest of some frames."""
+    snerg, camera = any_scene(scene), read_dataset(dataset, "test").cameras[0].resized(400, 400)
+    found = []
+    for _ in range(6):
+        began = time.perf_counter()
+        march(snerg, camera)
+        found.append(time.perf_counter() - began)
+    return float(np.min(found))
+
+
+@pytest.mark.slow
+def test_a_mirror_like_scene_is_found_to_be_one(scene, tmp_path):
+    dataset = rendered(tmp_path / "mirror", metallic=1.0, roughness=0.12, specular=0.5)
+    assert trained(dataset, tmp_path / "auto") == "deferred"
+    verbs.bake_scene(tmp_path / "auto", tmp_path / "scene", BakeSettings(resolution=96))
+    verbs.bundle_scene(tmp_path / "scene", tmp_path / "page")
+    assert any(path.name.startswith("feature") for path in (tmp_path / "page").rglob("*"))
+    assert any_scene(tmp_path / "page").network is not None
