@@ -19,6 +19,8 @@ from ..progress import Progress, silent, within
 from .march import TILE, MarchSettings, march_rays
 from .snerg import NETWORK_TRANSMITTANCE, Snerg
 
+TENTH = 10  # every tenth view is judged by
+
 
 @dataclass(frozen=True)
 class RefineSettings:
@@ -41,13 +43,15 @@ class RefineSettings:
 class Gathered:
     """Pixels of the training views as the baked scene composites them: what the network sees, and what it should add up to.
 
-    colour: over white [N, 3]; features [N, 4]; directions [N, 3] in the network's axes; wanted: over white [N, 3].
+    colour: over white [N, 3]; features [N, 4]; directions [N, 3] in the network's axes; wanted: over white [N, 3]. held: how many of
+    them, the first, are not fitted to but judged by: whole views, because a network may learn by heart what the others show.
     """
 
     colour: np.ndarray
     features: np.ndarray
     directions: np.ndarray
     wanted: np.ndarray
+    held: int
 
 
 def refine(
@@ -58,8 +62,8 @@ def refine(
 ) -> tuple[Snerg, dict[str, Any]]:
     """A scene with a network that makes up for what baking and quantising changed, and a report of the gain.
 
-    A tenth of the pixels is kept out to judge by; the best network on those is what comes back, the old one if none
-    is better. A diffuse or empty scene comes back as it is. Raises SnergError when an image cannot be read, Cancelled
+    A tenth of the views is kept out to judge by (of a few views, a tenth of the pixels); the best network on those is what comes back,
+    the old one if none is better. A diffuse or empty scene comes back as it is. Raises SnergError when an image cannot be read, Cancelled
     when `progress` does.
     """
     if snerg.network is None or not len(snerg.cells):
@@ -106,14 +110,18 @@ def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: P
         progress((i + 1) / len(dataset.cameras), f"Marching training view {i + 1} of {len(dataset.cameras)}")
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = rng.permutation(len(columns[0]))[: settings.pixels]
-    return Gathered(*(column[order] for column in columns))
+    view = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])[order]
+    aside = view % TENTH == TENTH // 2
+    held = int(aside.sum()) if aside.any() else max(1, len(order) // TENTH)
+    order = order[np.argsort(~aside, kind="stable")]
+    return Gathered(*(column[order] for column in columns), held)
 
 
 def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
     """Adam on the squared error of the final colour; the best network on the pixels held out, and what it gained in dB."""
-    held = max(1, len(data.colour) // 10)
-    test = tuple(jnp.asarray(a[:held]) for a in vars(data).values())
-    train = tuple(a[held:] for a in vars(data).values())
+    columns = data.colour, data.features, data.directions, data.wanted
+    test = tuple(jnp.asarray(a[: data.held]) for a in columns)
+    train = tuple(a[data.held :] for a in columns)
     batch = min(settings.batch, len(train[0]))
     steps = max(1, len(train[0]) // batch)
     total = steps * settings.epochs
@@ -153,8 +161,10 @@ def squared_error(network: ViewNetwork, colour: Any, features: Any, directions: 
 
 
 def adam_step(rate: float, total: int, params: Any, moments: Any, step: Any, data: tuple[Any, ...]) -> tuple[Any, Any]:
-    """One step of Adam at a rate that falls by cosine to a tenth."""
+    """One step of Adam at a rate that falls by cosine to a tenth. An input that the network never had a weight for stays without: the
+    frequencies of the direction that training left out (TrainSettings.view_degrees)."""
     gradient = jax.grad(squared_error)(params, *data)
+    gradient = gradient._replace(weights_0=gradient.weights_0 * (params.weights_0 != 0).any(axis=1, keepdims=True))
     now = rate * (0.1 + 0.9 * 0.5 * (1 + jnp.cos(jnp.pi * step / total)))
     m = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, moments[0], gradient)
     v = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g * g, moments[1], gradient)

@@ -255,6 +255,21 @@ def test_refining_gains_and_never_loses(tmp_path):
     assert np.array_equal(again.network.weights_0, better.network.weights_0)
 
 
+def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_views(tmp_path):
+    dataset = read_dataset(make_dataset(tmp_path / "data"))
+    network = random_network(3)
+    network = network._replace(weights_0=np.asarray(network.weights_0) * (np.arange(34) % 2 == 0)[:, None].astype(np.float32))
+    snerg = bake(Ball(radius=0.9, network=network), BOX, dataset.cameras, BakeSettings(40, samples=2))
+    better, report = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    assert report["gain_db"] > 0.5 and better.network is not None
+    kept = (better.network.weights_0 != 0).any(axis=1)
+    assert np.array_equal(kept, np.arange(34) % 2 == 0)
+    gathered = gather(snerg, dataset, RefineSettings(), lambda f, w: None)
+    rays = dataset.cameras[5].rays()[1].astype(np.float32)  # of twelve views the one that is judged by
+    own = (np.abs(gathered.directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
+    assert own[: gathered.held].all() and not own[gathered.held :].any() and gathered.held > 100
+
+
 @pytest.mark.hard_case(8, 43)
 def test_what_refining_aims_at():
     """Masked pixels are left out; over another background the network, which is defined over white, has the same to make up for."""
