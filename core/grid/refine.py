@@ -114,7 +114,8 @@ def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: P
     aside = view % TENTH == TENTH // 2
     held = int(aside.sum()) if aside.any() else max(1, len(order) // TENTH)
     order = order[np.argsort(~aside, kind="stable")]
-    return Gathered(*(column[order] for column in columns), held)
+    colour, features, towards, wanted = (column[order] for column in columns)
+    return Gathered(colour, features, towards, wanted, held)
 
 
 def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
