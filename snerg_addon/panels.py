@@ -294,6 +294,7 @@ class SNERG_PT_study(_Step, bpy.types.Panel):
 
     bl_label = "Study"
     bl_idname = "SNERG_PT_study"
+    bl_options = {"DEFAULT_CLOSED"}
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """There is a report."""
@@ -307,8 +308,8 @@ class SNERG_PT_study(_Step, bpy.types.Panel):
         layout.operator("snerg.study", icon="GRAPH")
         note = project_of(context.scene).notes().get("study", {})
         if note:
-            left = f"{note['left_out']} left for another time" if note.get("left_out") else ""
-            facts(layout, joined(f"{note.get('configurations', 0)} configurations", left))
+            left = f"{note['left_out']} left for later" if note.get("left_out") else ""
+            facts(layout, f"{note.get('configurations', 0)} configurations", left)
             layout.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(note.get("report", ""))
         if STUDY in bpy.data.images:
             facts(layout, f"Beside the truth: the image {STUDY!r}")
