@@ -1,6 +1,7 @@
 """A study end to end, small: it measures, goes on where it was stopped, reports, and bakes what a target calls for."""
 
 import csv
+import importlib
 import itertools
 import json
 import re
@@ -136,8 +137,9 @@ def test_the_papers_tables_have_all_their_rows(dataset, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dataset_is_trained_for_some_times(dataset, tmp_path):
-    settings = StudySettings(minutes=5, resolution=16, views=1)
+def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("snerg.core.study.study"), "LONG", 1.0)
+    settings = StudySettings(minutes=2, resolution=16, views=1)
     result = study(dataset, tmp_path / "out", settings=settings)
     value = json.loads((tmp_path / "out" / "study.json").read_text())
     lengths = [row["trained_seconds"] for row in value["rows"] if row["config"] is None]
