@@ -137,6 +137,11 @@ class Camera:
             flat = self.distortion.distort(flat)
         return np.array(self.centre) + np.array(self.focal) * flat, depth
 
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """[N] bool: which world points [N, 3] are in the picture, whatever is in front of them."""
+        pixels, depth = self.project(points)
+        return (depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1)
+
     def toward(self, points: np.ndarray) -> np.ndarray:
         """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
         if self.projection == "orthographic":

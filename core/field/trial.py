@@ -84,20 +84,12 @@ def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[np.ndar
     own = shown(rays.looking)
     total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
     for camera in cameras[:: -(-len(cameras) // EYES)]:
-        looking, sees = seen_by(camera, points)
-        sees &= (looking * rays.looking).sum(axis=-1) > 0  # from the other side there is another surface
+        looking = camera.toward(points)
+        sees = camera.shows(points) & ((looking * rays.looking).sum(axis=-1) > 0)  # from the other side there is another surface
         total += np.where(sees[:, None], shown(looking), 0)
         count += sees
     averaged = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], own)
     return rays.errors(averaged), rays.errors(own)
-
-
-def seen_by(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions [N, 3] in which a camera looks at world points [N, 3], and whether they are in its picture [N]; whatever is
-    in front of them."""
-    pixels, depth = camera.project(points)
-    inside = (depth > camera.near) & (pixels >= 0).all(axis=-1) & (pixels <= [camera.width, camera.height]).all(axis=-1)
-    return camera.toward(points), inside
 
 
 def judged(without: np.ndarray, gained: np.ndarray, views: int) -> Decision:

@@ -209,13 +209,11 @@ def _grid(field: Field) -> np.ndarray:
 def _way(field: Field, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which points [M, 3] of the field's space are in a camera's picture [M], and the unit way [M, 3] and its length [M] to it there."""
     world = points if field.ndc is None else field.ndc.to_world(points)
-    pixels, depth = camera.project(world)
-    size = np.array([camera.width, camera.height])
-    inside = (depth > camera.near) & ((pixels >= 0) & (pixels <= size)).all(axis=-1)
     along = camera.toward(world)
-    eye = world - depth[:, None] * along if camera.projection == "orthographic" else np.broadcast_to(camera.position, world.shape)
+    parallel = camera.projection == "orthographic"
+    eye = world - camera.project(world)[1][:, None] * along if parallel else np.broadcast_to(camera.position, world.shape)
     origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.near)
-    return inside, -toward, np.linalg.norm(points - origin, axis=-1) - near
+    return camera.shows(world), -toward, np.linalg.norm(points - origin, axis=-1) - near
 
 
 def fitting(field: Field, box: Box, points: np.ndarray, voxel: float, rng: np.random.Generator) -> int:
