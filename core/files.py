@@ -12,9 +12,11 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
 
 from .errors import SnergError
 
@@ -48,6 +50,12 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
+    with new_file(path) as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:

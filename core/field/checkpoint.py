@@ -13,7 +13,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.ndc import Ndc
 from ..errors import SnergError
-from ..files import MARK, json_bytes, new_file, write_bytes
+from ..files import MARK, json_bytes, write_arrays, write_bytes
 from .encoding import HashGrid
 from .field import Field
 from .networks import Family, HashFamily, MlpFamily, ViewNetwork
@@ -52,8 +52,7 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
     arrays["json"] = np.frombuffer(json_bytes(about), np.uint8)
     arrays |= {f"state.{k}": v for k, v in (state or {}).items()}
     write_bytes(folder / MARK, b"Written by SNeRG for Blender.\n")
-    with new_file(folder / FILE) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    write_arrays(folder / FILE, arrays)
 
 
 def is_field(path: Path) -> bool:

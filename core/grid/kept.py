@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import MARK, check_replaceable, new_file, write_bytes
+from ..files import MARK, check_replaceable, write_arrays, write_bytes
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
@@ -73,8 +73,7 @@ class Kept:
             first = int(next(iter(self.new)).partition(".")[0])
             if not (self.folder / MARK).exists():
                 write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
-            with new_file(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz") as file:
-                np.savez(file, **self.new)  # type: ignore[arg-type]
+            write_arrays(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", self.new)
         self.new, self.saved = {}, time.monotonic()
 
 
