@@ -25,18 +25,13 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in.
-
-        A forward-facing field is baked whole: its grid lies in device coordinates, where no box of the scene's is a box.
-        """
+        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
         settings = context.scene.snerg
-        forward = bool(project.notes().get("field", {}).get("ndc"))
         arguments = ["bake", str(project.field), "--out", str(project.scene)]
         fineness = ["--voxel-size", str(settings.voxel_size)] if settings.voxel_size else ["--resolution", str(settings.resolution)]
         arguments += [*fineness, "--samples", str(settings.samples)]
-        if settings.box and not forward:
-            box = box_from_blender(settings.box, evaluated(context.scene))
-            write_bytes(project.box, json_bytes(box.to_json()))
+        if box := box_to_bake(context, project):
+            write_bytes(project.box, box)
             arguments += ["--box", str(project.box)]
         return start_verb(arguments if settings.refine else [*arguments, "--no-refine"])
 
@@ -48,3 +43,14 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
         return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {project.scene}"
+
+
+def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:
+    """The box as it stands now, as JSON; None where none is chosen.
+
+    A forward-facing field is baked whole: its grid lies in device coordinates, where no box of the scene's is a box.
+    """
+    box = context.scene.snerg.box
+    if not box or project.notes().get("field", {}).get("ndc"):
+        return None
+    return json_bytes(box_from_blender(box, evaluated(context.scene)).to_json())

@@ -8,12 +8,12 @@ from typing import Any
 
 import bpy
 
-from ..core.files import json_bytes, write_bytes
+from ..core.files import write_bytes
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.bridge import STUDY, box_from_blender
-from ..snerg_addon.capture import evaluated
+from ..snerg_addon.bridge import STUDY
 from ..snerg_addon.project import Project, remember
+from .bake import box_to_bake
 from .job_runner import LongVerb
 
 
@@ -31,10 +31,8 @@ class SNERG_OT_study(LongVerb, bpy.types.Operator):
         own, so that a study goes on only with what belongs to it."""
         settings = context.scene.snerg
         arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
-        forward = bool(project.notes().get("field", {}).get("ndc"))
         where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
-        if settings.box and not forward:
-            box = json_bytes(box_from_blender(settings.box, evaluated(context.scene)).to_json())
+        if box := box_to_bake(context, project):
             where += f"-{zlib.crc32(box):08x}"
             path = project.studies / f"{where}.json"
             path.parent.mkdir(parents=True, exist_ok=True)
