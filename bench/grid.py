@@ -21,11 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import march as marching
-import numpy as np
 from common import OUT, demo, described, markdown, on_machine, snerg
 from plot import Panel, save_plot
 
-from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import Dataset
 from snerg.core.capture.images import over, write_png
 from snerg.core.describe import folder_bytes
@@ -34,6 +32,7 @@ from snerg.core.evaluate import COLUMNS, Score, Target, held_out, open_target, o
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene import read_scene, write_scene
 from snerg.core.field.checkpoint import read_field
+from snerg.core.field.held_out import some_views
 from snerg.core.files import json_bytes
 from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.grid.march import MarchSettings
@@ -78,21 +77,16 @@ ABLATIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is measured. chosen: the numbers of the held-out views; size: pixels along the longer side of the smaller preview."""
+    """What is measured. views: some of the held-out ones, of how many; size: pixels along the longer side of the smaller preview."""
 
     field: Path
     out: Path
     views: Dataset
-    chosen: list[int]
+    of: int
     resolution: int
     large: int
     size: int
     background: tuple[float, float, float]
-
-    @cached_property
-    def cameras(self) -> list[Camera]:
-        """Of the chosen views."""
-        return [self.views.cameras[index] for index in self.chosen]
 
     def baked(self, name: str, *arguments: str, resolution: int | None = None) -> dict[str, Any]:
         """Bake a scene of this name in a process of its own; kept from an earlier run only as far as `bake` itself does."""
@@ -127,11 +121,11 @@ class Setup:
 
 
 def measure(setup: Setup, path: Path, settings: MarchSettings = USUAL, pictures: Path | None = None) -> dict[str, Any]:
-    """{"psnr", "ssim", "frame"} of a field or a scene on the chosen views; frame: median seconds. pictures: a sheet beside the truth."""
+    """{"psnr", "ssim", "frame"} of a field or a scene on the views; frame: median seconds. pictures: a sheet beside the truth."""
     subject: Target = open_target(path, settings)
     score, rows = Score(), []
-    for index, camera in zip(setup.chosen, setup.cameras, strict=True):
-        if index == setup.chosen[0]:
+    for index, camera in enumerate(setup.views.cameras):
+        if not index:
             subject.render(camera, silent)  # the first of all takes longer, whatever is measured
         began = time.perf_counter()
         frame = subject.render(camera, silent)
@@ -170,7 +164,7 @@ def large_part(setup: Setup) -> dict[str, Any]:
 
 def scaling_part(setup: Setup) -> dict[str, Any]:
     """Time against rays, samples and blocks, and the plot of it."""
-    rays, samples = marching.growing(setup.scene, setup.cameras[0], setup.size)
+    rays, samples = marching.growing(setup.scene, setup.views.cameras[0], setup.size)
     source, blocks = read_field(setup.field), []
     for turn, share in enumerate((0.2, 0.2, 0.3, 0.4, 0.5, 0.6)):  # the first one compiles
         settings = BakeSettings(max(2, round(share * setup.resolution)), samples=1)
@@ -206,9 +200,9 @@ def ablated(setup: Setup, row: Ablation, name: str) -> dict[str, Any]:
 PARTS: dict[str, Callable[[Setup], dict[str, Any]]] = {
     "bake": bake_part,
     "large": large_part,
-    "preview": lambda setup: marching.preview(setup.scene, setup.cameras[:6], setup.size),
-    "profile": lambda setup: marching.profile(setup.scene, setup.cameras[:6], setup.size),
-    "gather": lambda setup: marching.gathering(setup.scene, setup.cameras[0], setup.size),
+    "preview": lambda setup: marching.preview(setup.scene, setup.views.cameras[:6], setup.size),
+    "profile": lambda setup: marching.profile(setup.scene, setup.views.cameras[:6], setup.size),
+    "gather": lambda setup: marching.gathering(setup.scene, setup.views.cameras[0], setup.size),
     "scaling": scaling_part,
 }
 
@@ -258,10 +252,8 @@ def prepared(options: argparse.Namespace) -> Setup:
     source = read_field(path)
     known = trained(source.about)
     views = held_out(options.data or Path(source.dataset), options_of(known))
-    count = len(views.cameras)
-    chosen = np.linspace(0, count - 1, min(count, options.views)).round().astype(int).tolist()
-    background = open_target(path).background
-    return Setup(path, options.out, views, chosen, options.resolution, options.large, options.size, background)
+    some, background = some_views(views, options.views), open_target(path).background
+    return Setup(path, options.out, some, len(views.views), options.resolution, options.large, options.size, background)
 
 
 def demo_field(out: Path) -> Path:
@@ -274,7 +266,7 @@ def demo_field(out: Path) -> Path:
 
 def subject(setup: Setup) -> str:
     """What was measured, in a sentence."""
-    return f"{setup.views.root.name}, {len(setup.chosen)} of {len(setup.views.cameras)} held-out views."
+    return f"{setup.views.root.name}, {len(setup.views.views)} of {setup.of} held-out views."
 
 
 def tables(results: dict[str, Any], setup: Setup) -> list[str]:

@@ -7,7 +7,7 @@ import statistics
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import CodeType, FrameType
@@ -45,7 +45,7 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> float:
     return min(seconds)
 
 
-def preview(snerg: Snerg, cameras: list[Camera], size: int) -> dict[str, Any]:
+def preview(snerg: Snerg, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
     """Seconds a picture at two sizes (median over the views, and the slowest), until a first small one, and against the naive march."""
     result: dict[str, Any] = {"views": len(cameras)}
     for name, pixels in (("small", size), ("large", 2 * size)):
@@ -106,7 +106,7 @@ class Profile:
         return sorted(found.values(), key=lambda row: -row["seconds"])
 
 
-def profile(snerg: Snerg, cameras: list[Camera], size: int) -> dict[str, Any]:
+def profile(snerg: Snerg, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
     """The march of some views in one thread: seconds in all, and by function."""
     views = [sized(camera, size) for camera in cameras]
     alone = sum(timed(lambda view=view: march(snerg, view, ALONE), 1) for view in views)  # type: ignore[misc]
