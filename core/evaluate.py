@@ -137,9 +137,14 @@ def options_of(known: dict[str, Any]) -> DatasetOptions:
     return DatasetOptions(**options)
 
 
-def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, float], str, DatasetOptions]:
+def background_of(known: dict[str, Any]) -> tuple[float, float, float]:
+    """What pictures are shown over, RGB in [0, 1], from `trained`."""
     red, green, blue = shown_over(str(known.get("background", "white"))).tolist()
-    return (red, green, blue), dataset, options_of(known)
+    return red, green, blue
+
+
+def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, float], str, DatasetOptions]:
+    return background_of(known), dataset, options_of(known)
 
 
 def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> np.ndarray:

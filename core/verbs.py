@@ -21,14 +21,13 @@ from .capture.images import png_bytes, to_uint8
 from .capture.readers.transforms import read_cameras
 from .describe import Result, any_field, any_scene, folder_bytes, info, kind_of
 from .errors import SnergError, needs_jax
-from .evaluate import evaluate, options_of, ready_scene, trained
+from .evaluate import background_of, evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
 from .export.reference import write_reference
 from .export.scene import PNG, check_storable, codec_of, is_current, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
-from .field.losses import shown_over
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
 from .files import check_replaceable, json_bytes, new_folder
@@ -196,8 +195,7 @@ def bake_field(
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()
-        red, green, blue = shown_over(known["background"]).tolist()
-        snerg, _ = refine(snerg, dataset, RefineSettings(background=(red, green, blue)), within(progress, share, 0.97))
+        snerg, _ = refine(snerg, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
         seconds["refine"] = time.perf_counter() - began
     return snerg, {name: round(value, 2) for name, value in seconds.items()}
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from .front import Row
 from .plan import BITS, NETWORK, REFINE, RESOLUTION, Step
-from .summary import Row
 
 VARIANTS: dict[str, dict[str, Any]] = {  # fields that are trained for these tables alone, as long as the usual one
     "diffuse": {"view_dependence": "diffuse"},

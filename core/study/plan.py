@@ -84,6 +84,11 @@ class Step:
     config: Config
     knobs: tuple[tuple[str, str], ...]
 
+    @property
+    def text(self) -> str:
+        """For people."""
+        return "; ".join(f"{knob}: {value}" for knob, value in self.knobs)
+
 
 RESOLUTION, SAMPLES, CODEC, TOLERANCE = "resolution", "samples a voxel", "codec", "tolerance"
 ALPHA, VISIBILITY, BITS, NETWORK, REFINE, TRAINING = "alpha threshold", "visibility threshold", "bits", "network", "refining", "training"

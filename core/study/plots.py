@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import io
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from ..errors import SnergError
-from .front import front
+from .front import Row, front
+from .metrics import psnr_of
 from .plan import CODEC, RESOLUTION
-from .summary import GOOD, PREDICTED, Point, Row, making
+from .summary import GOOD, PREDICTED, Point, making
 
 COLOURS = ("#0f766e", "#b45309", "#7c3aed", "#be123c", "#2563eb", "#4d7c0f", "#a21caf", "#0891b2", "#78716c", "#ca8a04")
 INK, FAINT, FRONT = "#1f2937", "#d1d5db", "#111827"
@@ -87,7 +87,7 @@ def error_against_time(rows: Sequence[Row], paths: dict[str, list[Point]], usual
         one.set_xlabel(title)
         one.set_ylabel("mean squared error")
         right = one.secondary_yaxis("right", functions=(lambda e: e, lambda e: e))
-        _decades(right.yaxis, lambda value: f"{decibels(value):.1f} dB")
+        _decades(right.yaxis, lambda value: f"{psnr_of(value):.1f} dB")
         right.tick_params(labelsize=8, colors=INK)
     handles, labels = axes[0].get_legend_handles_labels()
     made.legend(handles, labels, loc="outside lower center", ncols=6, fontsize=8, frameon=False)
@@ -175,8 +175,3 @@ def predicted_and_measured(found: Sequence[tuple[str, Row, float, float]]) -> An
 def mse(row: Row) -> float:
     """Mean squared error of a row."""
     return float(10 ** (-row["psnr"] / 10))
-
-
-def decibels(error: float) -> float:
-    """PSNR of a mean squared error."""
-    return -10 * math.log10(max(error, 1e-10))

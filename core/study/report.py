@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,11 @@ import numpy as np
 from PIL import Image
 
 from ..capture.images import png_bytes, read_image
-from .front import front
+from ..files import write_bytes
+from .front import Row, front
 from .machine import machine_line
 from .paper import WHY, cell, tables
-from .plan import RESOLUTION, Step
+from .plan import Step
 from .plots import (
     ablations,
     error_against_time,
@@ -26,7 +28,7 @@ from .plots import (
     rate_and_distortion,
     waterfall,
 )
-from .summary import PREDICTED, Point, Row, accuracy, difference, knobs, making, predictions, stages
+from .summary import PREDICTED, Point, accuracy, difference, knobs, making, predictions, stages
 
 CROP, ZOOM = 96, 3  # pixels of a picture's crop, and how many times larger it is shown
 COLUMN = {"ms": "ms a frame", "memory_gb": "GB in memory", "psnr": "PSNR", "ssim": "SSIM", "megabytes": "MB", "fps": "FPS"}
@@ -61,10 +63,25 @@ class Findings:
         """The row of the field that the usual configuration is baked from."""
         return next((row for row in self.fields if row["field"] == self.usual["config"]["field"]), None)
 
-    @property
+    @cached_property
     def paths(self) -> dict[str, list[Point]]:
         """See `summary.knobs`."""
         return knobs(self.rows, self.plan, self.usual["key"])
+
+    @cached_property
+    def front(self) -> list[Row]:
+        """What nothing beats in quality, time and size at once."""
+        return front(list(self.rows.values()), "ms", "megabytes")
+
+    @cached_property
+    def predictions(self) -> list[tuple[str, Row, float, float]]:
+        """See `summary.predictions`."""
+        return predictions(list(self.rows.values()))
+
+    @cached_property
+    def stages(self) -> list[tuple[str, Row]]:
+        """See `summary.stages`."""
+        return stages(self.rows, self.plan, self.field)
 
 
 def write_plots(found: Findings, folder: Path) -> dict[str, dict[str, bytes]]:
@@ -72,21 +89,18 @@ def write_plots(found: Findings, folder: Path) -> dict[str, dict[str, bytes]]:
 
     Raises SnergError where matplotlib is missing, or the folder cannot be written.
     """
-    from ..files import write_bytes
-
     with needs_matplotlib():
         import matplotlib  # noqa: F401
     rows, paths, made = list(found.rows.values()), found.paths, {}
     if paths:
         made["error-and-time"] = error_against_time(rows, paths, found.usual)
-    if RESOLUTION in paths or any(len(path) > 1 for path in paths.values()):
         made["rate-and-distortion"] = rate_and_distortion(paths, rows)
-    if len(steps := stages(found.rows, found.plan, found.field)) > 1:
-        made["stages"] = waterfall(steps)
+    if len(found.stages) > 1:
+        made["stages"] = waterfall(found.stages)
     if changes := changed(found):
         made["ablations"] = ablations([(what, gain, half) for what, gain, half, _ in changes])
-    if said := predictions(rows):
-        made["predictions"] = predicted_and_measured(said)
+    if found.predictions:
+        made["predictions"] = predicted_and_measured(found.predictions)
     plots = {name: files(figure) for name, figure in made.items()}
     for name, kinds in plots.items():
         for kind, data in kinds.items():
@@ -129,7 +143,7 @@ def _head(found: Findings) -> str:
 
 
 def _fronts(found: Findings, plots: dict[str, dict[str, bytes]]) -> str:
-    marked = front(list(found.rows.values()), "ms", "megabytes")
+    marked = found.front
     cheapest, best = marked[0], max(marked, key=lambda row: row["psnr"])
     text = (
         f"<p>Nothing beats {len(marked)} of the configurations in quality, time and size at once. They lead from "
@@ -152,8 +166,7 @@ def _rates(plots: dict[str, dict[str, bytes]]) -> str:
 def _stages(found: Findings, plots: dict[str, dict[str, bytes]]) -> str:
     if "stages" not in plots:
         return ""
-    steps = stages(found.rows, found.plan, found.field)
-    told = ", ".join(f"{name} {row['psnr']:.2f} dB {_key(row)}" for name, row in steps)
+    told = ", ".join(f"{name} {row['psnr']:.2f} dB {_key(row)}" for name, row in found.stages)
     about = (
         "<p>Where quality goes between the training images and the web page: the grid alone (floats, nothing culled), what no camera sees "
         "culled, 8 bits a value, the network refined, stored with a lossy codec, and shown as the page shows it (read from its files, rays "
@@ -216,9 +229,7 @@ def enlarged(picture: np.ndarray) -> np.ndarray:
 def _predictions(found: Findings, plots: dict[str, dict[str, bytes]]) -> str:
     if "predictions" not in plots:
         return ""
-    told = ", ".join(
-        f"{PREDICTED[name]}: {good} of {count}" for name, (good, count) in accuracy(predictions(list(found.rows.values()))).items()
-    )
+    told = ", ".join(f"{PREDICTED[name]}: {good} of {count}" for name, (good, count) in accuracy(found.predictions).items())
     return f"<h2>Predicted and measured</h2><p>Within a quarter: {told}.</p>{_figure(plots, 'predictions', 'Grey: within a quarter.')}"
 
 
@@ -237,8 +248,8 @@ def _paper(found: Findings) -> str:
 
 
 def _table(found: Findings) -> str:
-    marked = {row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")}
-    known = {step.config.key: "; ".join(f"{knob}: {value}" for knob, value in step.knobs) for step in found.plan}
+    marked = {row["key"] for row in found.front}
+    known = {step.config.key: step.text for step in found.plan}
     head = (
         "<tr><th>row</th><th>what</th><th>PSNR</th><th>SSIM</th><th>ms</th><th>95 %</th><th>MB</th><th>s to make</th><th>peak MB</th></tr>"
     )

@@ -17,24 +17,25 @@ from ..capture.dataset import Dataset, DatasetOptions, read_dataset
 from ..capture.images import read_image, write_png
 from ..describe import Result, any_field, any_scene, kind_of
 from ..errors import SnergError
-from ..evaluate import COLUMNS, held_out, options_of, trained
+from ..evaluate import COLUMNS, background_of, held_out, options_of, trained
 from ..export.codecs import SUFFIXES
 from ..export.scene import write_scene
 from ..field.checkpoint import is_field
+from ..field.field import Field
 from ..field.held_out import some_views
-from ..field.losses import shown_over
 from ..field.settings import PRESETS
 from ..files import MARK, check_replaceable, json_bytes, read_json, write_bytes
 from ..grid.bake import BakeSettings
 from ..grid.box import Box
+from ..grid.snerg import Snerg
 from ..progress import Progress, silent, within
-from .front import Target, choose, front
+from .front import Target, choose
 from .machine import describe_machine
 from .paper import BAKED, PAPER, VARIANTS
 from .pictures import contact_sheet, error_picture
 from .plan import Config, Step, StudySettings, available, steps
 from .report import Findings, html, write_plots
-from .summary import accuracy, csv_of, predictions
+from .summary import accuracy, csv_of
 from .sweep import Subject, Sweep, field_key
 
 VERSION = 1
@@ -65,10 +66,9 @@ def study(
     """
     deadline = time.monotonic() + 60 * settings.minutes
     kind = kind_of(source)
-    if kind not in ("field", "checkpoint", "dataset", "scene", "reference scene", "page"):
-        raise SnergError(f"{source} is a {kind}; give a field, a dataset or a baked scene.")
     notes: list[str] = []
-    views, training = _views(source, kind, dataset, settings, notes)
+    opened = any_field(source) if kind in ("field", "checkpoint") else any_scene(source) if kind != "dataset" else None
+    views, training = _views(source, opened, dataset, settings, notes)
     about = {
         "version": VERSION,
         "kind": kind,
@@ -81,16 +81,18 @@ def study(
         "notes": notes,
     }
     begin(out, about)
-    subject, usual = _subject(source, kind, views, training, out, settings, within(progress, 0, 0.3 if kind == "dataset" else 0.02))
+    begun = 0.3 if kind == "dataset" else 0.02
+    subject, usual = _subject(source, opened, views, training, out, settings, within(progress, 0, begun))
     sweep = Sweep(subject, out)
+    usual = replace(usual, refine=usual.refine and sweep.refinable(usual.field))
     plan = _plan(sweep, usual, subject)
-    left_out = measure(sweep, plan, usual, deadline, settings.minutes, within(progress, 0.3 if kind == "dataset" else 0.02, 0.95))
+    left_out = measure(sweep, plan, usual, deadline, settings.minutes, within(progress, begun, 0.95))
     if settings.paper and subject.scene is None:
         left_out += variants(sweep, plan, usual, deadline, settings, within(progress, 0.95, 0.95))
     found = findings(sweep, plan, usual, about, left_out)
     write(found, out)
     result: Result = {"out": str(out), "report": str(out / "report.html"), "configurations": len(found.rows), "left_out": len(left_out)}
-    result |= {"front": [row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")], "notes": notes}
+    result |= {"front": [row["key"] for row in found.front], "notes": notes}
     if target:
         result |= _chosen(sweep, found, target, out, within(progress, 0.95, 1))
     if not left_out:
@@ -98,17 +100,24 @@ def study(
     return result
 
 
-def _views(source: Path, kind: str, dataset: Path | None, settings: StudySettings, notes: list[str]) -> tuple[Dataset, Dataset | None]:
+def _known(opened: Field | Snerg | None) -> dict[str, Any]:
+    """What a field or a scene knows of its training, as `trained`."""
+    if opened is None:
+        return {}
+    return trained(opened.about) if isinstance(opened, Field) else opened.about.get("trained", {})
+
+
+def _views(
+    source: Path, opened: Field | Snerg | None, dataset: Path | None, settings: StudySettings, notes: list[str]
+) -> tuple[Dataset, Dataset]:
     """The views to measure on, and the images to refine on; where none were held out, some are, and a note says so."""
-    if kind == "dataset":
+    if opened is None:
         path, options = source, DatasetOptions(HOLDOUT)
     else:
-        about = any_field(source).about if kind in ("field", "checkpoint") else any_scene(source).about.get("trained", {})
-        known = trained(about) if kind in ("field", "checkpoint") else about
-        name = any_field(source).dataset if kind in ("field", "checkpoint") else ""
+        name = opened.dataset if isinstance(opened, Field) else ""
         if dataset is None and not name:
             raise SnergError(f"{source} does not say what it was trained on; give the dataset to measure it on with --dataset.")
-        path, options = Path(dataset or name), options_of(known)
+        path, options = Path(dataset or name), options_of(_known(opened))
     try:
         views = held_out(path, options)
     except SnergError:
@@ -116,7 +125,7 @@ def _views(source: Path, kind: str, dataset: Path | None, settings: StudySetting
             raise
         options = replace(options, holdout=HOLDOUT)
         views = held_out(path, options)
-        seen = "" if kind == "dataset" else " The field has seen them, so that its figures flatter it."
+        seen = "" if opened is None else " The field has seen them, so that its figures flatter it."
         notes.append(f"{path} holds no views out; every {HOLDOUT}th is held out here.{seen}")
     return some_views(views, settings.views), read_dataset(path, "train", options)
 
@@ -154,25 +163,16 @@ def begin(out: Path, about: dict[str, Any]) -> None:
 
 
 def _subject(
-    source: Path, kind: str, views: Dataset, training: Dataset | None, out: Path, settings: StudySettings, progress: Progress
+    source: Path, opened: Field | Snerg | None, views: Dataset, training: Dataset, out: Path, settings: StudySettings, progress: Progress
 ) -> tuple[Subject, Config]:
     """What is studied, and the usual configuration of it."""
     box = Box.read(settings.box) if settings.box is not None else None
-    baked = BakeSettings(resolution=settings.resolution, seed=settings.seed)
-    if kind in ("scene", "reference scene", "page"):
-        snerg = any_scene(source)
-        about = snerg.about.get("trained", {})
-        usual = Config(replace(baked, resolution=max(snerg.shape)), refine=False)
-        return Subject({}, snerg, views, None, box, _background(about), settings.repeats), usual
-    fields = _trained(source, settings, out, progress) if kind == "dataset" else {"": source}
-    first = any_field(next(iter(fields.values())))
-    usual = Config(baked, field=list(fields)[-1])
-    return Subject(fields, None, views, training, box, _background(trained(first.about)), settings.repeats), usual
-
-
-def _background(known: dict[str, Any]) -> tuple[float, float, float]:
-    red, green, blue = shown_over(str(known.get("background", "white"))).tolist()
-    return red, green, blue
+    baked, behind = BakeSettings(resolution=settings.resolution, seed=settings.seed), background_of(_known(opened))
+    if isinstance(opened, Snerg):
+        usual = Config(replace(baked, resolution=max(opened.shape)), refine=False)
+        return Subject({}, opened, views, None, box, behind, settings.repeats), usual
+    fields = {"": source} if opened is not None else _trained(source, settings, out, progress)
+    return Subject(fields, None, views, training, box, behind, settings.repeats), Config(baked, field=list(fields)[-1])
 
 
 def _trained(source: Path, settings: StudySettings, out: Path, progress: Progress) -> dict[str, Path]:
@@ -184,13 +184,17 @@ def _trained(source: Path, settings: StudySettings, out: Path, progress: Progres
     for turn, share in enumerate(shares):
         seconds = max(round(share * longest), 5)
         name = f"{seconds} s of training"
-        place = folder / str(seconds)
-        begun = is_field(place)
-        if not (begun and any_field(place).about.get("seconds", 0) >= seconds):
+        fields[name] = folder / str(seconds)
+        if not _done(fields[name], seconds):
             part = within(progress, turn / len(shares), (turn + 1) / len(shares))
-            train(views, replace(PRESETS["fast"], seconds=float(seconds), seed=settings.seed), place, part, begun)
-        fields[name] = place
+            told = replace(PRESETS["fast"], seconds=float(seconds), seed=settings.seed)
+            train(views, told, fields[name], part, is_field(fields[name]))
     return fields
+
+
+def _done(folder: Path, seconds: float) -> bool:
+    """Whether a field was trained for so long."""
+    return is_field(folder) and any_field(folder).about.get("seconds", 0) >= seconds
 
 
 def _plan(sweep: Sweep, usual: Config, subject: Subject) -> list[Step]:
@@ -200,8 +204,7 @@ def _plan(sweep: Sweep, usual: Config, subject: Subject) -> list[Step]:
         return [step for step in plan if step.config.baked == usual.baked and not step.config.refine]
     field = sweep.field(usual.field)
     others = [name for name in subject.fields if name != usual.field]
-    refinable = field.network is not None and subject.training is not None
-    return steps(usual, field.network is not None, bool(field.cameras), refinable, codecs, others)
+    return steps(usual, field.network is not None, bool(field.cameras), usual.refine, codecs, others)
 
 
 def measure(sweep: Sweep, plan: Sequence[Step], usual: Config, deadline: float, minutes: float, progress: Progress) -> list[str]:
@@ -221,7 +224,7 @@ def measure(sweep: Sweep, plan: Sequence[Step], usual: Config, deadline: float, 
                     f"The coarsest configuration takes about {needed:.0f} seconds, and of the {minutes:g} minutes {max(left, 0):.0f} s "
                     "are left; give more minutes, fewer views or a lower resolution."
                 )
-            left_out.append("; ".join(f"{knob}: {value}" for knob, value in step.knobs))
+            left_out.append(step.text)
             continue
         sweep.row(step, _named(within(progress, index / len(plan), (index + 1) / len(plan)), step))
         ratios.append(min(max((time.monotonic() - begun) / max(expected, 1e-3), 0.3), 3.0))
@@ -261,37 +264,27 @@ def variants(sweep: Sweep, plan: list[Step], usual: Config, deadline: float, set
         return ["the paper's other fields (this one does not say how long it was trained)"]
     for turn, (name, changes) in enumerate(VARIANTS.items()):
         folder, part = sweep.out / "fields" / name.replace(" ", "-"), within(progress, turn / len(VARIANTS), (turn + 1) / len(VARIANTS))
-        begun = is_field(folder)
-        if not (begun and any_field(folder).about.get("seconds", 0) >= seconds):
+        if not _done(folder, seconds):
             if seconds > deadline - time.monotonic():
                 left_out.append(f"the paper's field {name!r}")
                 continue
             background = about.get("settings", {}).get("background", "white")
             told = replace(PRESETS["fast"], seconds=float(seconds), seed=settings.seed, background=background, **changes)
-            train(subject.training, told, folder, part, begun)
+            train(subject.training, told, folder, part, is_field(folder))
         subject.fields[name] = folder
-    extra = [Step(replace(usual, field=name, refine=name != "diffuse" and usual.refine), ((PAPER, name),)) for name in BAKED]
-    extra = [step for step in extra if step.config.field in subject.fields]
+    some = [name for name in BAKED if name in subject.fields]
+    extra = [Step(replace(usual, field=name, refine=sweep.refinable(name)), ((PAPER, name),)) for name in some]
     plan += extra
     return left_out + measure(sweep, extra, usual, deadline, settings.minutes, within(progress, 1, 1))
 
 
 def findings(sweep: Sweep, plan: Sequence[Step], usual: Config, about: dict[str, Any], left_out: list[str]) -> Findings:
     """What the rows tell; where the usual configuration is not measured, the best one takes its place."""
-    rows = {key: row for key, row in sweep.rows.items() if row["config"] is not None}
-    known = {step.config.key for step in plan}
-    rows = {key: row for key, row in rows.items() if key in known}
-    fields = [row for row in sweep.rows.values() if row["config"] is None]
-    fields.sort(key=lambda row: row.get("trained_seconds") or 0)
-    taken = rows.get(next((s.config.key for s in plan if _same(s.config, usual)), ""))
-    if taken is None:
-        taken = max(rows.values(), key=lambda row: row["psnr"])
+    rows = {step.config.key: sweep.rows[step.config.key] for step in plan if step.config.key in sweep.rows}
+    alone = sorted((row for row in sweep.rows.values() if row["config"] is None), key=lambda row: row.get("trained_seconds") or 0)
+    taken = rows.get(usual.key) or max(rows.values(), key=lambda row: row["psnr"])
     title = f"What accuracy costs: {Path(about['path']).name}"
-    return Findings(title, about, rows, fields, plan, left_out, taken)
-
-
-def _same(config: Config, usual: Config) -> bool:
-    return replace(config, refine=usual.refine) == usual
+    return Findings(title, about, rows, alone, plan, left_out, taken)
 
 
 def write(found: Findings, out: Path) -> None:
@@ -299,9 +292,9 @@ def write(found: Findings, out: Path) -> None:
     (out / "plots").mkdir(exist_ok=True)
     plots = write_plots(found, out / "plots")
     rows = [*found.fields, *found.rows.values()]
-    told = accuracy(predictions(list(found.rows.values())))
+    told = accuracy(found.predictions)
     value = {**found.about, "usual": found.usual["key"], "left_out": found.left_out, "rows": rows}
-    value["front"] = [row["key"] for row in front(list(found.rows.values()), "ms", "megabytes")]
+    value["front"] = [row["key"] for row in found.front]
     value["predictions_within_a_quarter"] = {name: list(pair) for name, pair in told.items()}
     write_bytes(out / "study.json", json_bytes(value))
     write_bytes(out / "study.csv", csv_of(rows, found.plan).encode())
@@ -312,7 +305,7 @@ def write(found: Findings, out: Path) -> None:
 def beside_the_truth(found: Findings, pictures: Path) -> np.ndarray:
     """uint8 [H, W, 3]: one view of some configurations of the front, from the best on, beside the truth."""
     truth = read_image(pictures / "truth.png")[..., :3].astype(np.float32) / 255
-    marked = sorted(front(list(found.rows.values()), "ms", "megabytes"), key=lambda row: -row["psnr"])
+    marked = sorted(found.front, key=lambda row: -row["psnr"])
     some = [marked[index] for index in np.unique(np.linspace(0, len(marked) - 1, SHOWN).round().astype(int))]
     rows = []
     for row in some:
@@ -326,15 +319,10 @@ def _chosen(sweep: Sweep, found: Findings, target: Target, out: Path, progress: 
     """Write the scene of the row that has the target. Raises SnergError where none has."""
     row, closest = choose(list(found.rows.values()), target)
     if row is None:
-        near = (
-            ""
-            if closest is None
-            else (
-                f" The closest has {closest['psnr']:.2f} dB, {closest['megabytes']:.1f} MB and {closest['ms']:.0f} ms a frame "
-                f"({closest['key']} in {out / 'study.csv'})."
-            )
-        )
-        raise SnergError(f"No configuration that was measured has {target.text()}.{near}")
+        assert closest is not None  # there are rows
+        told = f"{closest['psnr']:.2f} dB, {closest['megabytes']:.1f} MB and {closest['ms']:.0f} ms a frame"
+        where = f"({closest['key']} in {out / 'study.csv'})"
+        raise SnergError(f"No configuration that was measured has {target.text()}. The closest has {told} {where}.")
     config = Config.from_json(row["config"])
     snerg, _ = sweep.scene_of(config, progress)
     write_scene(snerg, out / "scene", codec=config.codec)

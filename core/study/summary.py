@@ -6,13 +6,12 @@ import csv
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from .front import Row
 from .plan import RESOLUTION, STAGES, WATERFALL, Step
 
-Row = dict[str, Any]
 GOOD = 0.25  # a prediction within this of what then happens is a good one
 PREDICTED = {"bake": "bake, s", "refine": "refining, s", "ms": "frame, ms", "megabytes": "files, MB", "peak_megabytes": "peak memory, MB"}
 
@@ -91,26 +90,16 @@ def accuracy(found: Sequence[tuple[str, Row, float, float]]) -> dict[str, tuple[
 
 
 COLUMNS = (
-    "key",
-    "knobs",
-    "psnr",
-    "ssim",
-    "lpips",
-    "ms",
-    "ms_95",
-    "megabytes",
-    "peak_megabytes",
-    "memory_megabytes",
-    "blocks",
-    "samples",
-    "views",
+    *("key", "knobs", "psnr", "ssim", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
+    *("blocks", "samples", "views"),
 )
 SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "write", "read", "tables")
+TAIL = ("refine", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")
 
 
 def csv_of(rows: Sequence[Row], plan: Sequence[Step]) -> str:
     """Every row as a line: what it is, its quality, its seconds a stage, what was predicted, and its configuration."""
-    known = {step.config.key: step.knobs for step in plan}
+    known = {step.config.key: step.text for step in plan}
     text = io.StringIO()
     writer = csv.writer(text)
     said = [f"predicted_{name}" for name in PREDICTED]
@@ -118,7 +107,7 @@ def csv_of(rows: Sequence[Row], plan: Sequence[Step]) -> str:
     writer.writerow([*COLUMNS, *(f"seconds_{name}" for name in SECONDS), *said, *(f"bake_{name}" for name in settings), *TAIL])
     for row in rows:
         config, seconds = row["config"] or {}, row.get("seconds", {})
-        told = row | {"knobs": "; ".join(f"{knob}: {value}" for knob, value in known.get(row["key"], ())) or row["key"]}
+        told = row | {"knobs": known.get(row["key"], row["key"])}
         cells = [told.get(name) for name in COLUMNS] + [seconds.get(name) for name in SECONDS]
         cells += [row.get("predicted", {}).get(name) for name in PREDICTED]
         cells += [config.get("bake", {}).get(name) for name in settings]
@@ -127,6 +116,3 @@ def csv_of(rows: Sequence[Row], plan: Sequence[Step]) -> str:
         cells += [march.get("per_sample_network"), config.get("page"), config.get("field", row.get("field"))]
         writer.writerow(cells)
     return text.getvalue()
-
-
-TAIL = ("refine", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")

@@ -16,27 +16,28 @@ import numpy as np
 
 from ..capture.camera import Camera
 from ..capture.dataset import Dataset
-from ..capture.images import over, png_bytes, to_uint8
+from ..capture.images import over, to_uint8, write_png
 from ..describe import any_field, folder_bytes
 from ..errors import SnergError
 from ..evaluate import Score
 from ..export.scene import PNG, read_scene, write_scene
 from ..field.field import Field
 from ..field.networks import ViewNetwork
-from ..files import json_bytes, read_json, write_bytes
-from ..grid.bake import bake
+from ..field.render import render_field
+from ..files import json_bytes, read_json, write_arrays, write_bytes
 from ..grid.box import Box
 from ..grid.march import Frame, march
 from ..grid.refine import RefineSettings, refine
 from ..grid.snerg import Snerg
 from ..grid.tables import tables_of
 from ..progress import Progress, silent, within
+from ..verbs import bake_field
 from .estimate import Estimate, estimate
+from .front import Row
 from .machine import watched
 from .plan import Config, Step
 from .survey import Survey, survey
 
-Row = dict[str, Any]
 FIELD = "field"
 SMALL = 4  # times smaller, each way, is a picture that tells how long the whole takes
 WRITING = 4.0  # seconds to store a scene and read it back, beside what the estimate counts
@@ -90,6 +91,10 @@ class Sweep:
             self._surveys[name] = survey(self.field(name))
         return self._surveys[name]
 
+    def refinable(self, name: str) -> bool:
+        """Whether what is baked of a field can be refined: it is view-dependent, and its images are there."""
+        return self.subject.training is not None and self.field(name).network is not None
+
     def predicted(self, config: Config) -> Estimate | None:
         """What a configuration ought to take on this machine; None for a scene that is baked already."""
         if self.subject.scene is not None:
@@ -136,8 +141,6 @@ class Sweep:
 
     def field_row(self, name: str, progress: Progress = silent) -> Row:
         """Measure a field itself (JAX)."""
-        from ..field.render import render_field
-
         field = self.field(name)
         key = field_key(name)
         row: Row = {"key": key, "config": None, "field": name, "trained_seconds": field.about.get("seconds")}
@@ -146,8 +149,6 @@ class Sweep:
 
     def field_seconds(self, name: str) -> float:
         """What measuring a field itself will take, by a small picture of it (JAX)."""
-        from ..field.render import render_field
-
         camera, field = self.subject.views.cameras[0], self.field(name)
         small = camera.resized(*(max(8, side // SMALL) for side in (camera.width, camera.height)))
         render_field(field, small)
@@ -172,8 +173,7 @@ class Sweep:
             picture = to_uint8(picture).astype(np.float32) / 255 if page else picture
             score.add(picture, truth, seconds, views.mask(index), camera.name)
             if index == middle:
-                write_picture(self.out / "pictures" / f"{key}.png", picture)
-                write_picture(self.out / "pictures" / "truth.png", truth)
+                self._show(key, picture, truth)
             progress((index + 1) / count, f"View {index + 1} of {count}: {score.text()}")
         result = score.result()
         ms = [1e3 * seconds for seconds in score.seconds]
@@ -181,6 +181,14 @@ class Sweep:
         psnr = 100.0 if result["psnr"] is None else result["psnr"]
         each = [100.0 if view["psnr"] is None else view["psnr"] for view in score.views()]
         return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
+
+    def _show(self, key: str, picture: np.ndarray, truth: np.ndarray) -> None:
+        """Keep a row's picture, and once what all of them are compared with."""
+        folder = self.out / "pictures"
+        folder.mkdir(exist_ok=True)
+        write_png(folder / f"{key}.png", to_uint8(picture))
+        if not (folder / "truth.png").is_file():
+            write_png(folder / "truth.png", to_uint8(truth))
 
     def _repeated(self, render: Any, camera: Camera) -> tuple[Frame, float]:
         seconds = []
@@ -207,11 +215,10 @@ class Sweep:
             return snerg, told
         path = self._work(config) / "refined.npz"
         if not path.is_file():
-            red, green, blue = self.subject.background
-            settings, began = RefineSettings(background=(red, green, blue)), time.perf_counter()
+            settings, began = RefineSettings(background=self.subject.background), time.perf_counter()
             better, _ = refine(snerg, self.subject.training, settings, within(progress, 0.7, 1))
             assert better.network is not None
-            save_arrays(path, **better.network._asdict(), seconds=np.array(time.perf_counter() - began))
+            write_arrays(path, {**better.network._asdict(), "seconds": np.array(time.perf_counter() - began)})
         with np.load(path) as kept:
             network, took = ViewNetwork(*(kept[name] for name in ViewNetwork._fields)), float(kept["seconds"])
         return replace(snerg, network=network), told | {"seconds": told["seconds"] | {"refine": round(took, 3)}}
@@ -234,7 +241,7 @@ class Sweep:
         with watched() as peak:
             for turn in range(self.subject.repeats):
                 part = within(progress, turn / self.subject.repeats, (turn + 1) / self.subject.repeats)
-                snerg = bake(field, self._box(field), field.cameras, config.bake, part)
+                snerg, _ = bake_field(field, self._box(field), config.bake, None, part)
                 stages.append(snerg.about["bake"]["seconds"])
         seconds = {name: round(statistics.median(lap[name] for lap in stages), 3) for name in stages[0]}
         told = {"seconds": {"bake": round(sum(seconds.values()), 3), **seconds}, "samples": snerg.about["bake"]["samples"]}
@@ -281,17 +288,3 @@ def read_row(path: Path) -> Row:
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{path} has a configuration that cannot be read ({error}); delete it to have it measured again.") from error
     return row
-
-
-def write_picture(path: Path, picture: np.ndarray) -> None:
-    """A PNG, in a folder that is made where it is missing."""
-    path.parent.mkdir(exist_ok=True)
-    write_bytes(path, png_bytes(to_uint8(picture)))
-
-
-def save_arrays(path: Path, **arrays: np.ndarray) -> None:
-    """An .npz, whole or not at all."""
-    from ..files import new_file
-
-    with new_file(path) as file:
-        np.savez(file, **arrays)
