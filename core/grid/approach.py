@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..capture.ndc import space_rays
+from .rays import Rays
 from .snerg import Snerg
 from .tables import BRICK, Tables
-from .walk import HAIR, Rays
+from .walk import HAIR
 
 BUNDLE = 64  # neighbouring rays that go through empty space together
 
@@ -41,8 +42,11 @@ def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float
     return local.astype(np.float32), towards.astype(np.float32), start, np.where(met, stop, -1)
 
 
-def approach(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, stop: np.ndarray, skip: bool) -> Rays:
-    """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter."""
+def approach(
+    tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, stop: np.ndarray, skip: bool, first: int = 0
+) -> Rays:
+    """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter. first: the number
+    of the first of them."""
     ends = np.ceil(stop - start - 0.5).astype(np.float32)
     ready = ends > 0
     t = np.full(len(ends), np.float32(0.5))
@@ -50,7 +54,8 @@ def approach(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np
         t += bundled(tables, entry, direction, start, ends, ready)
         ready &= t < ends
     index = np.flatnonzero(ready)
-    return Rays(index, np.concatenate([entry[:, index], direction[:, index], t[None, index], ends[None, index]]))
+    moving = np.concatenate([entry[:, index], direction[:, index], t[None, index], ends[None, index]])
+    return Rays.new(index + first, moving, tables.channels)
 
 
 def bundled(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, ends: np.ndarray, ready: np.ndarray) -> np.ndarray:

@@ -18,14 +18,18 @@ from ..capture.camera import Camera
 from ..capture.ndc import world_distance
 from ..field.networks import ViewNetwork, view_residual
 from ..progress import Progress, silent, within
-from .approach import approach, enter
+from .approach import BUNDLE, approach, enter
+from .rays import Rays, Supply
 from .snerg import NETWORK_TRANSMITTANCE, Snerg
 from .tables import tables_of
 from .tolerance import stop_for
-from .walk import Gathered, Rays, Walk
+from .walk import Gathered, Walk
 
-# Rays that a thread prepares, or shades, at a time; BLAS would take threads of its own, and keep them busy, for twice as many.
+BUNDLED = 2**17  # rays whose way through empty space is found together: few steps of many bundles
+# Rays that are made, or shaded, together, and those whose colours the network is asked for in one product. BLAS would take threads of its
+# own for more, and keep them waiting in a loop for the next product while the marcher's own want the processor.
 SHARE = 16384
+STACK = 128
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
 TICK_SECONDS = 0.03  # between two calls of `progress`
 FIRST = 4  # how many times smaller, each way, the first picture is
@@ -44,7 +48,7 @@ class MarchSettings:
     tolerance: float = 1e-4
     stop_transmittance: float | None = None
     per_sample_network: bool = False
-    batch: int = 16384
+    batch: int = 24576
     threads: int = 2
     skip: bool = True
 
@@ -90,7 +94,7 @@ def march(
 
     if snerg.network is not None or snerg.ndc is not None:
         with ThreadPoolExecutor(settings.threads) as pool:
-            list(pool.map(finish, _shares(len(pixels))))
+            list(pool.map(finish, _shares(0, len(pixels), SHARE)))
     picture = [np.empty((camera.height, camera.width, *values.shape[1:]), np.float32) for values in (colour, alpha, depth)]
     for whole, values in zip(picture, (colour, alpha, depth), strict=True):
         whole[pixels[:, 1], pixels[:, 0]] = values
@@ -142,8 +146,20 @@ def shade(network: ViewNetwork | None, rays: Composited, directions: np.ndarray)
     colour = rays.colour.copy()
     seen = np.flatnonzero(rays.transmittance <= np.float32(NETWORK_TRANSMITTANCE))
     over_white = colour[seen] + rays.transmittance[seen, None]
-    colour[seen] += view_residual(np, network, over_white, rays.features[seen], directions[seen].astype(np.float32))
+    colour[seen] += residual(network, over_white, rays.features[seen], directions[seen].astype(np.float32))
     return colour
+
+
+def residual(network: ViewNetwork, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """`view_residual` [N, 3] of many rays, STACK after STACK."""
+    count = len(colour)
+
+    def stacked(values: np.ndarray) -> np.ndarray:
+        whole = np.empty((-(-count // STACK) * STACK, values.shape[-1]), np.float32)
+        whole[:count], whole[count:] = values, 0
+        return whole.reshape(-1, STACK, values.shape[-1])
+
+    return view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count]
 
 
 def march_rays(
@@ -178,44 +194,43 @@ def _march(
     begins = np.zeros(count, np.float32)
     sampled = snerg.network is not None and settings.per_sample_network
     views = np.empty((count if sampled else 0, 3), np.float32)
-    shares, lock, fed = iter(_shares(count)), threading.Lock(), 0
 
-    def feed() -> Rays | None:
-        nonlocal fed
-        with lock:
-            some = next(shares, None)
-            if some is None:
-                return None
-            fed = some.stop
+    def entered(some: slice) -> tuple[np.ndarray, ...]:
         origins, directions = rays(some)
-        entry, direction, start, stop = enter(snerg, origins, directions, near)
-        begins[some] = start
         if sampled:
             views[some] = directions @ snerg.view_rotation.T
-        ready = approach(tables, entry, direction, start, stop, settings.skip)
-        return Rays(ready.index + some.start, ready.moving)
+        return enter(snerg, origins, directions, near)
 
-    def residual(colour: np.ndarray, features: np.ndarray, index: np.ndarray) -> np.ndarray:
+    def make(some: slice) -> Rays:
+        parts = [entered(part) for part in _shares(some.start, some.stop, SHARE)]
+        entry, direction, start, stop = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
+        begins[some] = start
+        return approach(tables, entry, direction, start, stop, settings.skip, some.start)
+
+    def shaded(colour: np.ndarray, features: np.ndarray, index: np.ndarray) -> np.ndarray:
         assert snerg.network is not None
-        return view_residual(np, snerg.network, colour, features, views[index])
+        return residual(snerg.network, colour, features, views[index])
 
     light = settings.stop_transmittance
     if light is None:
         light = stop_for(settings.tolerance, snerg, settings.per_sample_network)
 
+    bundled = min(BUNDLED, max(-(-count // (settings.threads * BUNDLE)), 1) * BUNDLE)
+    supply = Supply(make, _shares(0, count, bundled), settings.threads)
+
     def work(cancelled: Callable[[], bool]) -> None:
-        walk = Walk(tables, feed, into, settings.batch, light, settings.skip, visited, residual if sampled else None)
+        walk = Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None)
         walk.run(cancelled)
 
-    _together(work, settings.threads, lambda: progress(fed / max(count, 1), "Marching"))
+    _together(work, settings.threads, lambda: progress(supply.taken / max(len(supply.shares), 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins
     depth *= np.float32(snerg.voxel_size)
     found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth)
     return filled(found) if snerg.fill_holes else found
 
 
-def _shares(count: int) -> list[slice]:
-    return [slice(start, min(start + SHARE, count)) for start in range(0, count, SHARE)]
+def _shares(first: int, last: int, most: int) -> list[slice]:
+    return [slice(start, min(start + most, last)) for start in range(first, last, most)]
 
 
 def _together(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:

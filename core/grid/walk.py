@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .rays import FEW, Rays, Supply
 from .tables import BRICK, STRIDES, Tables
 
 CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
@@ -22,21 +23,8 @@ STILL = np.float32(1e-7)  # a direction with less than this along an axis takes 
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
-    """Rays that begin at the grid, in voxels.
-
-    index: [N] which they are among all. moving: [8, N] float32: the point of entry, the direction (of unit length), t at which
-    the next sample is taken (k + 0.5, k whole), and t before which the last is.
-    """
-
-    index: np.ndarray
-    moving: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class Gathered:
-    """Of all rays, written as they end: values [N, C], of which the last is the sum of t times the opacity that was seen there, and
-    transmittance [N]; float32."""
+    """Of all rays, written as they end: values [N, C] and transmittance [N], float32 (see `Rays`)."""
 
     values: np.ndarray
     through: np.ndarray
@@ -49,7 +37,7 @@ Residual = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 class Walk:
     """One batch.
 
-    feed: gives the next rays, None when there are no more. into: what comes of them. stop: a ray ends when less light than this
+    supply: where rays are from, which may be handed on there again. into: what comes of them. stop: a ray ends when less light than this
     passes. skip: whether it jumps over what is empty. visited: bool [M * 32^3] or None, set at voxels nearest to a sample that
     something is near to. residual: view dependence at every sample, None where there is none or it follows a pixel.
     """
@@ -57,7 +45,7 @@ class Walk:
     def __init__(
         self,
         tables: Tables,
-        feed: Callable[[], Rays | None],
+        supply: Supply,
         into: Gathered,
         batch: int,
         stop: float,
@@ -65,20 +53,19 @@ class Walk:
         visited: np.ndarray | None = None,
         residual: Residual | None = None,
     ) -> None:
-        self.tables, self.feed, self.into, self.batch = tables, feed, into, batch
+        self.tables, self.supply, self.into, self.batch = tables, supply, into, batch
         self.stop, self.skip, self.visited, self.residual = np.float32(stop), skip, visited, residual
         self.interpolate = Interpolate(tables)
         self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
-        self.waiting: Rays | None = Rays(np.zeros(0, np.int64), np.zeros((8, 0), np.float32))
-        self.begun = 0
-        self.index = np.zeros(0, np.int64)
-        self.moving = np.zeros((8, 0), np.float32)
-        self.light = np.zeros(0, np.float32)
-        self.values = np.zeros((0, tables.channels), np.float32)
-        self.alive = np.zeros(0, bool)
+        self.hold(Rays.new(np.zeros(0, np.int64), np.zeros((8, 0), np.float32), tables.channels))
+
+    def hold(self, rays: Rays) -> None:
+        """Make these the batch."""
+        self.index, self.moving, self.light, self.values = rays.index, rays.moving, rays.light, rays.values
+        self.alive = np.ones(len(self.index), bool)
 
     def run(self, cancelled: Callable[[], bool] = lambda: False) -> None:
-        """March all that `feed` gives; returns early when `cancelled` says so."""
+        """March all that there is; returns early when `cancelled` says so."""
         self.pack()
         while len(self.index) and not cancelled():
             self.advance()
@@ -92,28 +79,21 @@ class Walk:
         ended = np.flatnonzero(~self.alive)
         self.into.values[self.index[ended]] = self.values[ended]
         self.into.through[self.index[ended]] = self.light[ended]
-        kept = np.flatnonzero(self.alive)
-        new = self.begin(self.batch - len(kept))
-        count = sum(len(rays.index) for rays in new)
-        self.index = np.concatenate([self.index[kept], *(rays.index for rays in new)])
-        self.moving = np.concatenate([self.moving.take(kept, axis=1), *(rays.moving for rays in new)], axis=1)
-        self.light = np.concatenate([self.light[kept], np.ones(count, np.float32)])
-        self.values = np.concatenate([self.values[kept], np.zeros((count, self.tables.channels), np.float32)])
-        self.alive = np.ones(len(self.index), bool)
+        rays = Rays(self.index, self.moving, self.light, self.values).only(np.flatnonzero(self.alive))
+        rays = Rays.joined([rays, *self.begin(self.batch - len(rays.index), not len(rays.index))])
+        if 0 < len(rays.index) <= FEW and self.supply.hand(rays):
+            rays = rays.some(slice(0))
+        self.hold(rays)
         self.prepare()
 
-    def begin(self, room: int) -> list[Rays]:
-        """Up to `room` rays that have not begun yet."""
-        taken = []
-        while self.waiting is not None and room > 0:
-            if self.begun == len(self.waiting.index):
-                self.waiting, self.begun = self.feed(), 0
-                continue
-            some = slice(self.begun, self.begun + room)
-            taken.append(Rays(self.waiting.index[some], self.waiting.moving[:, some]))
-            self.begun += len(taken[-1].index)
-            room -= len(taken[-1].index)
-        return taken
+    def begin(self, room: int, idle: bool) -> list[Rays]:
+        """Up to `room` more rays. idle: there are none at present."""
+        new: list[Rays] = []
+        while room > 0 and (more := self.supply.take(room, idle)) is not None:
+            new.append(more)
+            room -= len(more.index)
+            idle &= not len(more.index)
+        return new
 
     def prepare(self) -> None:
         """What follows from the directions, and room for what `advance` computes."""
