@@ -27,7 +27,7 @@ def test_equals_the_dense_march(diffuse, index):
     got, truth = march(snerg, camera), dense_march(snerg, camera)
     assert got.alpha.max() > 0.5
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
-    assert np.abs(got.over() - truth.over()).max() < 5e-4
+    assert np.abs(got.over() - truth.over()).max() < 1e-4
     seen = (got.alpha > 0.01) & (truth.depth < 50 * FRAME.near)
     assert np.abs(got.depth[seen] / truth.depth[seen] - 1).max() < 1e-2
 

@@ -9,6 +9,7 @@ import pytest
 from oracle import dense_march, dense_rays
 from scenes import empty_snerg, looking, make_cameras, make_snerg, random_network, rotation, snerg_from_volume
 from snerg.core.capture.camera import Camera
+from snerg.core.capture.distortion import Distortion
 from snerg.core.errors import Cancelled
 from snerg.core.field.networks import ViewNetwork, view_residual
 from snerg.core.grid.march import Composited, MarchSettings, filled, march, march_rays, progressive, tiled
@@ -18,23 +19,53 @@ from snerg.core.grid.tolerance import excess, steepness, stop_for
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
+ROUNDING = 2e-5  # of single precision, amplified by the network
+
+
+LENSES = (Distortion("opencv", (-0.25, 0.06, 0.002, -0.003)), Distortion("fisheye", (0.05, -0.02, 0.004, 0.0)))
 
 
 def small_cameras(centre=CENTRE):
-    return make_cameras(centre, width=48, height=36)
+    """One of each kind, and one behind each kind of lens."""
+    cameras = make_cameras(centre, width=48, height=36)
+    return (*cameras, *(replace(cameras[1], distortion=lens, name=lens.model) for lens in LENSES))
 
 
 @pytest.mark.hard_case(2, 3, 33, 34, 36, 37, 42, 43)
 @pytest.mark.parametrize("diffuse", [False, True])
-@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("index", range(8))
 def test_equals_the_dense_march(diffuse, index):
     snerg = make_snerg(diffuse=diffuse, angles=ANGLES, centre=CENTRE)
     camera = small_cameras()[index]
     got, truth = march(snerg, camera), dense_march(snerg, camera)
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
-    assert np.abs(got.over() - truth.over()).max() < (1e-4 if diffuse else 3e-4)  # the network amplifies rounding
+    assert np.abs(got.over() - truth.over()).max() < 1e-4
     seen = got.alpha > 0.01
     assert np.abs(got.depth[seen] - truth.depth[seen]).max() < 1e-2
+
+
+@pytest.mark.hard_case(33, 36)
+@pytest.mark.parametrize("axis", range(3))
+def test_equals_the_dense_march_a_thousand_voxels_long(axis):
+    """Rays that go the whole length of a grid, through fog at both ends, and across it."""
+    shape = np.roll((1010, 24, 28), axis)
+    values = np.zeros((*shape, 8), np.uint8)
+    ends = np.moveaxis(values, axis, 0)
+    draw = np.random.default_rng(axis)
+    for part in (ends[:40], ends[-70:]):
+        alpha = draw.integers(0, 30, part.shape[:3])
+        part[..., 7] = alpha
+        part[..., :7] = np.rint(draw.random((*alpha.shape, 7)) * alpha[..., None])
+    pose = np.eye(4)
+    pose[:3, 3] = -shape / 2 / 100
+    snerg = snerg_from_volume(values, random_network(axis), grid_to_world=pose, voxel_size=0.01)
+    ahead, aside = np.roll((-5.6, 0.03, 0.02), axis), np.roll((4.8, 0.6, 0.3), axis)
+    for eye, target, focal in ((ahead, (0, 0, 0), 900.0), (aside, np.roll((4.9, 0, 0), axis), 30.0)):
+        camera = Camera(20, 16, (focal, focal), (10, 8), looking(tuple(eye), tuple(target)))
+        got, truth = march(snerg, camera), dense_march(snerg, camera)
+        assert got.alpha.max() > 0.5
+        assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
+        assert np.abs(got.over() - truth.over()).max() < 1e-4
 
 
 @pytest.mark.hard_case(33, 34)
@@ -158,7 +189,7 @@ def test_cells_of_floats_are_marched_as_they_are(diffuse):
     for camera in small_cameras((0, 0, 0))[1:4]:
         got, truth = march(floats, camera), dense_march(floats, camera)
         assert got.alpha.max() > 0.5 and np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
-        assert np.abs(got.over() - truth.over()).max() < 3e-4
+        assert np.abs(got.over() - truth.over()).max() < 1e-4
 
 
 def test_the_network_at_every_sample():
@@ -167,7 +198,7 @@ def test_the_network_at_every_sample():
     for camera in small_cameras()[:4]:
         got = march(snerg, camera, MarchSettings(per_sample_network=True))
         truth = dense_march(snerg, camera, per_sample_network=True)
-        assert np.abs(got.over() - truth.over()).max() < 3e-4
+        assert np.abs(got.over() - truth.over()).max() < 1e-4
         assert np.abs(got.over() - march(snerg, camera).over()).max() > 0.005
         assert np.abs(got.alpha - march(snerg, camera).alpha).max() < 1e-4
 
@@ -199,7 +230,7 @@ def test_no_pixel_is_off_by_more_than_the_tolerance(seed):
             frame = march(snerg, camera, MarchSettings(tolerance, per_sample_network=per_sample))
             for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.2, 0.9, 0.5)):
                 error = np.abs(np.clip(frame.over(background), 0, 1) - truth.over(background)).max()
-                assert error < tolerance + 3e-4
+                assert error < tolerance + ROUNDING
 
 
 def test_tolerance_follows_the_scene():
