@@ -105,9 +105,7 @@ def parser() -> argparse.ArgumentParser:
     bake = verb("bake", "bake a field into a scene", _bake)
     bake.add_argument("field", type=Path, metavar="FIELD")
     bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
-    fineness = bake.add_mutually_exclusive_group()
-    _baking(bake, fineness)
-    fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
+    _baking(bake)
     _storing(bake, "png")
     compare = bake.add_argument_group("to compare with", "Each leaves out a part of the method, as the tables of the paper do.")
     compare.add_argument("--no-visibility", dest="visibility", action="store_false", help="keep what no camera sees")
@@ -155,7 +153,8 @@ def parser() -> argparse.ArgumentParser:
     ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
     ahead.add_argument("path", type=Path, metavar="DATASET_OR_FIELD")
     baking = ahead.add_argument_group("of a field", "What a bake, its files and a preview take.")
-    _baking(baking, baking)
+    _baking(baking)
+    baking.add_argument("--survey", type=Path, metavar="FILE", help="where the look at the field is kept for the next estimate")
     baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
     baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
     learning = ahead.add_argument_group("of a dataset", "What a training takes.")
@@ -198,12 +197,13 @@ def _reading(verb: argparse.ArgumentParser, defaults: DatasetOptions | None) -> 
         verb.set_defaults(holdout=defaults.holdout, downscale=defaults.downscale)
 
 
-def _baking(verb: argparse._ActionsContainer, fineness: argparse._ActionsContainer) -> None:
-    """How a field is baked. fineness: the group of what excludes the resolution."""
-    usual = BakeSettings()
+def _baking(verb: argparse._ActionsContainer) -> None:
+    """How a field is baked."""
+    usual, fineness = BakeSettings(), verb.add_mutually_exclusive_group()
     fineness.add_argument(
         "--resolution", type=count, default=usual.resolution, metavar="N", help="voxels along the longest side (default: %(default)s)"
     )
+    fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
     verb.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
     verb.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
     verb.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
@@ -277,8 +277,9 @@ def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]
 
 def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     training = verbs.settings_of(options.preset, options.minutes, options.steps, 0, {})
-    settings = BakeSettings(resolution=options.resolution, samples=options.samples)
-    return predict.estimate(options.path, training, settings, options.box, options.refine, (options.width, options.height))
+    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, samples=options.samples)
+    size = options.width, options.height
+    return predict.estimate(options.path, training, settings, options.box, options.refine, size, survey=options.survey, progress=progress)
 
 
 def _study(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:

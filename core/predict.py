@@ -54,9 +54,12 @@ def estimate(
     refine: bool = True,
     size: tuple[int, int] = (800, 800),
     options: DatasetOptions = EIGHTH,
+    survey: Path | None = None,
+    progress: Progress = silent,
 ) -> Result:
     """What training a dataset, or baking, exporting and previewing a field will take on this machine (JAX).
 
+    survey: a file where the look at a field is kept, and found again as long as the field is the same.
     Raises SnergError when the path is neither, or the field cannot be baked.
     """
     kind = kind_of(path)
@@ -69,10 +72,16 @@ def estimate(
 
         return {"kind": kind, "path": str(path), **train(read_dataset(path, "train", options), training)}
     from .study.estimate import estimate as bake
-    from .study.survey import survey
+    from .study.kept_survey import read_survey, write_survey
+    from .study.survey import survey as look
 
     field = any_field(path)
     volume = Box.read(box) if box is not None else field.domain.world_box()
-    looked = survey(field)
+    looked = read_survey(survey, path, field) if survey is not None else None
+    if looked is None:
+        progress(0.1, "Looking at the field")
+        looked = look(field)
+        if survey is not None:
+            write_survey(survey, looked, path)
     told = bake(looked, volume, settings, refine, size)
     return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}

@@ -26,14 +26,7 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
-        settings = context.scene.snerg
-        arguments = ["bake", str(project.field), "--out", str(project.scene)]
-        fineness = ["--voxel-size", str(settings.voxel_size)] if settings.voxel_size else ["--resolution", str(settings.resolution)]
-        arguments += [*fineness, "--samples", str(settings.samples)]
-        if box := box_to_bake(context, project):
-            write_bytes(project.box, box)
-            arguments += ["--box", str(project.box)]
-        return start_verb(arguments if settings.refine else [*arguments, "--no-refine"])
+        return start_verb(["bake", str(project.field), "--out", str(project.scene), *baking_arguments(context, project)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and warn of a box that turned out to hold nothing."""
@@ -43,6 +36,17 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
         return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {project.scene}"
+
+
+def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:
+    """How the panel says to bake, for the command line; the box as it stands now is written to the project."""
+    settings = context.scene.snerg
+    arguments = ["--voxel-size", str(settings.voxel_size)] if settings.voxel_size else ["--resolution", str(settings.resolution)]
+    arguments += ["--samples", str(settings.samples)]
+    if box := box_to_bake(context, project):
+        write_bytes(project.box, box)
+        arguments += ["--box", str(project.box)]
+    return arguments if settings.refine else [*arguments, "--no-refine"]
 
 
 def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import bpy
 
 from ..operators.train import training_arguments
-from . import activity
+from . import activity, ahead
 from .bridge import PREVIEW, STUDY, resolution
 from .curve import Curve, curve_of
 from .project import Project, is_temporary, project_of
@@ -258,6 +258,10 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         column.prop(settings, "voxel_size")
         column.prop(settings, "samples")
         layout.prop(settings, "refine")
+        lines = ahead.texts(context)
+        facts(layout, *(part for line in lines for part in textwrap.wrap(line, LINE)))
+        if not lines:
+            layout.operator("snerg.estimate", icon="TIME")
         layout.operator("snerg.bake", icon="RENDER_STILL")
         layout.operator("snerg.import_scene", icon="IMPORT")
         note = project.notes().get("scene", {})

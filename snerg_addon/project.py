@@ -53,6 +53,11 @@ class Project:
         return self.folder / "studies"
 
     @property
+    def survey(self) -> Path:
+        """The look at the field that estimates are made from."""
+        return self.folder / "survey.npz"
+
+    @property
     def box(self) -> Path:
         """The box as the last bake used it, JSON."""
         return self.folder / "box.json"

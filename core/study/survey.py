@@ -119,10 +119,10 @@ def survey(field: Field, seed: int = 0) -> Survey:
     small = pilot(field, box)
     rates = timed(field, Lattice.inside(box, float(voxels[TIMED])), points[kept[TIMED]], start, min(s for _, s in looks), small)
     took = time.perf_counter() - began - start
-    return Survey(field, _coarse(field), points, share, inside, voxels, held, kept, samples, _filled(small), small.voxel_size, rates, took)
+    return Survey(field, coarse(field), points, share, inside, voxels, held, kept, samples, _filled(small), small.voxel_size, rates, took)
 
 
-def _coarse(field: Field) -> Field:
+def coarse(field: Field) -> Field:
     """The field with cells of occupancy twice as large, again and again, until they are few."""
     while field.occupancy is not None and field.occupancy.sum() > CUBES:
         half = round(len(field.occupancy) ** (1 / 3)) // 2

@@ -13,7 +13,7 @@ from stage import add_camera, add_plane
 from snerg.core.cli import parser
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.verbs import train_field
-from snerg.snerg_addon import activity
+from snerg.snerg_addon import activity, ahead
 from snerg.snerg_addon.activity import Activity, Steps
 from snerg.snerg_addon.bridge import STUDY
 from snerg.snerg_addon.panels import next_step
@@ -36,6 +36,7 @@ def test_each_step_says_what_it_is_waiting_for(scene):
     for verb, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
+        ("estimate", "no field"),
         ("study", "no field"),
         ("preview", "no baked scene"),
         ("export_scene", "no baked scene"),
@@ -77,6 +78,29 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
     for verb in ("bake", "export_web"):  # every option is one that there is
         assert parser().parse_args(started(monkeypatch, verb)).verb == verb.replace("export_web", "bundle")
+
+
+@pytest.mark.slow
+def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
+    """The field is looked at once; from then on the panel follows the box, and a field that was written again has to be looked at."""
+    project = project_of(scene)
+    assert ahead.texts(bpy.context) == []
+    train_field(dataset, project.field, steps=60)
+    assert ahead.texts(bpy.context) == []
+    assert bpy.ops.snerg.estimate() == {"FINISHED"}
+    whole = ahead.texts(bpy.context)
+    assert "GB of memory" in whole[0] and "MB as PNG" in whole[1]
+    assert ahead.survey_of(project) is ahead.survey_of(project), "read once"
+    scene.snerg.resolution = 512
+    assert ahead.texts(bpy.context) != whole
+    bpy.ops.snerg.add_box()
+    scene.snerg.box.location.x += 1000
+    bpy.context.view_layer.update()
+    assert ahead.texts(bpy.context)[1].startswith("0 MB")
+    scene.snerg.voxel_size = 1e-9
+    assert "choose at least" in ahead.texts(bpy.context)[0] and len(ahead.texts(bpy.context)) == 1, "one sentence, in place of numbers"
+    train_field(dataset, project.field, steps=70)
+    assert ahead.texts(bpy.context) == []
 
 
 @pytest.mark.slow

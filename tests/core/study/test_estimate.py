@@ -117,6 +117,25 @@ def test_it_can_be_asked_while_a_box_is_dragged(surveyed):
     assert min(took) < 0.1  # half of it is what is wanted; the machine may be busy
 
 
+def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tmp_path):
+    from snerg.core.study.estimate import estimate
+    from snerg.core.study.kept_survey import read_survey, write_survey
+
+    source, path, field = tmp_path / "field.npz", tmp_path / "survey.npz", surveyed.field
+    source.write_bytes(b"a field")
+    assert read_survey(path, source, field) is None
+    write_survey(path, surveyed, source)
+    again = read_survey(path, source, field)
+    for box in (BOX, Box.axis_aligned([-1, -1, -1], [0, 1, 1])):
+        assert estimate(again, box).to_json() == estimate(surveyed, box).to_json()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert read_survey(path, source, field) is None
+    path.write_bytes(whole)
+    source.write_bytes(b"trained for longer")
+    assert read_survey(path, source, field) is None
+
+
 def test_a_training_is_so_many_steps(dataset):
     pytest.importorskip("jax")
     from snerg.core.study.estimate import training

@@ -1,0 +1,36 @@
+"""What a bake will take, before it is begun."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.jobs.runner import start_verb
+from ..snerg_addon.activity import Work
+from ..snerg_addon.ahead import told
+from ..snerg_addon.bridge import resolution
+from ..snerg_addon.project import Project
+from .bake import baking_arguments
+from .job_runner import LongVerb
+
+
+class SNERG_OT_estimate(LongVerb, bpy.types.Operator):
+    """Look at the field once, to say what a bake, its files and a preview will take; from then on at once, as the box is dragged"""
+
+    bl_idname = "snerg.estimate"
+    bl_label = "Estimate"
+    bl_options = {"REGISTER"}
+    step, label = "bake", "Looking at the field"
+    needs = "field"
+
+    def start(self, context: bpy.types.Context, project: Project) -> Work:
+        """`estimate` of the command line, whose look at the field stays in the project for the panel."""
+        width, height = resolution(context.scene)
+        size = ["--width", str(width), "--height", str(height), "--survey", str(project.survey)]
+        return start_verb(["estimate", str(project.field), *size, *baking_arguments(context, project)])
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Say it; the panel goes on from what was found."""
+        seconds = result["bake_seconds"] + result["seconds"].get("refine", 0.0)
+        return "A bake takes " + ", ".join(told(seconds, result["peak_megabytes"], result["megabytes"], result["preview"]))

@@ -1,0 +1,71 @@
+"""What a bake will take, for the panel: from a survey that was kept, a few milliseconds each time the box or a setting changes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.errors import SnergError
+from ..core.field.checkpoint import read_field
+from ..core.grid.bake import BakeSettings
+from ..core.grid.box import Box
+from ..core.study.estimate import estimate
+from ..core.study.kept_survey import read_survey
+from ..core.study.survey import Survey
+from .bridge import box_from_blender, resolution
+from .project import Project, project_of
+
+_surveys: dict[Path, tuple[tuple[int, int], Survey | None]] = {}
+_told: dict[str, list[str]] = {}
+
+
+def survey_of(project: Project) -> Survey | None:
+    """What is known of the project's field; None where it was not looked at since it was written. Read again when a file changed."""
+    try:
+        stamp = (project.survey.stat().st_mtime_ns, (project.field / "field.npz").stat().st_mtime_ns)
+    except OSError:
+        return None
+    known = _surveys.get(project.survey)
+    if known is None or known[0] != stamp:
+        try:
+            found = read_survey(project.survey, project.field, read_field(project.field))
+        except SnergError:
+            found = None
+        _told.clear()
+        _surveys.clear()
+        known = _surveys[project.survey] = (stamp, found)
+    return known[1]
+
+
+def texts(context: bpy.types.Context) -> list[str]:
+    """What the bake that the panel describes will take, in a few short lines; none where the field was not looked at yet."""
+    survey = survey_of(project_of(context.scene))
+    if survey is None:
+        return []
+    settings, box = context.scene.snerg, context.scene.snerg.box
+    try:
+        volume = box_from_blender(box) if box and survey.field.ndc is None else survey.field.domain.world_box()
+        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, samples=settings.samples)
+        return _lines(survey, volume, wanted, settings.refine, resolution(context.scene))
+    except SnergError as error:
+        return [str(error)]
+
+
+def _lines(survey: Survey, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> list[str]:
+    """Remembered as long as nothing changes: a panel is drawn far more often than that."""
+    key = json.dumps([id(survey), box.to_json(), str(settings), refine, size])
+    if key not in _told:
+        found = estimate(survey, box, settings, refine, size)
+        _told.clear()
+        _told[key] = told(found.bake + found.seconds.get("refine", 0.0), found.peak_megabytes, found.megabytes, found.preview)
+    return _told[key]
+
+
+def told(seconds: float, peak_megabytes: Any, megabytes: Any, preview: float) -> list[str]:
+    """An estimate for people, rounded to what it is worth."""
+    time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
+    memory = f"{peak_megabytes / 1000:.1f} GB of memory"
+    return [f"about {time}, {memory}", f"{megabytes:.0f} MB as PNG, {preview:.2g} s a preview"]
