@@ -19,7 +19,7 @@ from naive_march import naive_march
 
 from snerg.core.capture.camera import Camera
 from snerg.core.grid import walk
-from snerg.core.grid.march import MarchSettings, march, progressive
+from snerg.core.grid.march import MarchSettings, march, march_rays, progressive, tiled
 from snerg.core.grid.snerg import Snerg
 from snerg.core.grid.tables import tables_of
 
@@ -122,17 +122,17 @@ def profile(snerg: Snerg, cameras: Sequence[Camera], size: int) -> dict[str, Any
 
 
 @contextmanager
-def samples_of(keep: bool) -> Iterator[list[np.ndarray]]:
-    """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array (or [count] where not kept)."""
+def interpolated() -> Iterator[list[np.ndarray]]:
+    """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array."""
     calls: list[np.ndarray] = []
 
-    class Counted(walk.Interpolate):
+    class Kept(walk.Interpolate):
         def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-            calls.append(first.copy() if keep else np.array([len(first)]))
+            calls.append(first.copy())
             return super().__call__(first, fraction)
 
     usual = walk.Interpolate
-    walk.Interpolate = Counted  # type: ignore[misc]
+    walk.Interpolate = Kept  # type: ignore[misc]
     try:
         yield calls
     finally:
@@ -142,7 +142,7 @@ def samples_of(keep: bool) -> Iterator[list[np.ndarray]]:
 def gathering(snerg: Snerg, camera: Camera, size: int) -> dict[str, Any]:
     """The march in one thread beside what the machine needs just to read the same voxels, in the same order, and in none."""
     view, tables = sized(camera, size), tables_of(snerg)
-    with samples_of(keep=True) as calls:
+    with interpolated() as calls:
         march(snerg, view, ALONE)
     reader = walk.Interpolate(tables)
     spare = np.empty((walk.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
@@ -176,7 +176,6 @@ def growing(snerg: Snerg, camera: Camera, size: int) -> tuple[list[tuple[float, 
     for zoom in (0.3, 0.5, 0.7, 0.85, 1, 1.15, 1.3):
         view = sized(camera, size)
         view = replace(view, focal=(zoom * view.focal[0], zoom * view.focal[1]))
-        with samples_of(keep=False) as calls:
-            march(snerg, view)
-        samples.append((float(sum(count[0] for count in calls)), timed(lambda view=view: march(snerg, view))))  # type: ignore[misc]
+        rays_of_view = view.rays(tiled(view.width, view.height))
+        samples.append((float(march_rays(snerg, *rays_of_view, near=view.near).samples or 0), timed(lambda view=view: march(snerg, view))))  # type: ignore[misc]
     return rays, samples

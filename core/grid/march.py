@@ -124,12 +124,14 @@ def tiled(width: int, height: int) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Composited:
     """What a ray gathers: colour [N, 3], features [N, 4] (none in a diffuse scene: [N, 0]), transmittance [N], and
-    depth [N], distance times opacity in units of the space (see `space_rays`). float32."""
+    depth [N], distance times opacity in units of the space (see `space_rays`). float32. samples: how many all rays took together, where
+    that is known."""
 
     colour: np.ndarray
     features: np.ndarray
     transmittance: np.ndarray
     depth: np.ndarray
+    samples: int | None = None
 
     def part(self, some: slice | np.ndarray) -> Composited:
         """Some of the rays."""
@@ -225,7 +227,7 @@ def _march(
     _together(work, settings.threads, lambda: progress(supply.taken / max(len(supply.shares), 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins
     depth *= np.float32(snerg.voxel_size)
-    found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth)
+    found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)
     return filled(found) if snerg.fill_holes else found
 
 
@@ -256,4 +258,4 @@ def filled(rays: Composited) -> Composited:
     alpha = 1 - rays.transmittance
     factor = np.where(alpha < 2 / 3, 1.5, 1 / np.maximum(alpha, 2 / 3)).astype(np.float32)
     through = np.maximum(1 - factor * alpha, 0)
-    return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor)
+    return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor, rays.samples)

@@ -50,12 +50,13 @@ class Rays:
 class Supply:
     """What `walks` walks, each in a thread of its own, take their rays from.
 
-    shares: of all rays, in order; make: the rays of one that may meet something, called in the thread that comes for them.
+    shares: of all rays, in order; make: the rays of one that may meet something, called in the thread that comes for them. samples:
+    how many the walks that have ended took.
     """
 
     def __init__(self, make: Callable[[slice], Rays], shares: Sequence[slice], walks: int) -> None:
         self.make, self.shares, self.walks = make, shares, walks
-        self.taken = self.making = 0
+        self.taken = self.making = self.samples = 0
         self.ready: list[Rays] = []
         self.changed = threading.Condition()
 
@@ -99,3 +100,8 @@ class Supply:
             self.ready.append(rays)
             self.changed.notify_all()
             return True
+
+    def ended(self, samples: int) -> None:
+        """A walk is over, which took so many samples."""
+        with self.changed:
+            self.samples += samples

@@ -57,6 +57,7 @@ class Walk:
         self.stop, self.skip, self.visited, self.residual = np.float32(stop), skip, visited, residual
         self.interpolate = Interpolate(tables)
         self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
+        self.samples = 0
         self.hold(Rays.new(np.zeros(0, np.int64), np.zeros((8, 0), np.float32), tables.channels))
 
     def hold(self, rays: Rays) -> None:
@@ -73,6 +74,7 @@ class Walk:
             self.alive &= self.light > self.stop
             if np.count_nonzero(self.alive) < 0.85 * len(self.alive):
                 self.pack()
+        self.supply.ended(self.samples)
 
     def pack(self) -> None:
         """Write down the rays that have ended, keep the others, and begin as many new ones as the batch has room for."""
@@ -191,6 +193,7 @@ class Walk:
         Rays that meet something mostly go on doing so; taking several samples at once shares what is spent on each.
         """
         count = len(rows)
+        self.samples += AHEAD * count
         moving = self.moving.take(rows, axis=1)
         t = (moving[6] + np.arange(AHEAD, dtype=np.float32)[:, None]).reshape(-1)
         point = (moving[3:6, None] * t.reshape(AHEAD, count) + moving[:3, None]).reshape(3, -1)

@@ -26,10 +26,12 @@ from ..grid.samples import FINER, LENGTH, MOST, RAYS
 from .survey import Survey, rays_of
 
 USUAL = BakeSettings()
-GROWTH = 0.2  # seconds of a preview's ray grow with the resolution to this power: it meets more voxels, and skips most
+BARE = 6.0  # samples that take as long as all else that a ray takes
+COLD = 0.2  # power of the resolution with which a sample's own time grows: what it reads is further apart
+BEGUN = 0.08  # seconds of a bake's first stage, however little there is
 PROCESS = 430e6  # bytes that a bake takes whatever its size; memory.py, which refuses what would not fit, allows for more
-BESIDE = 1.4  # of the time of filling voxels one after another, with moving them, and what the caches do not hold any more
-CLOSER = 0.85  # of the time of a ray where it is timed: in a large picture rays are closer together
+BESIDE = 1.12  # of the time of filling voxels one after another, with moving them, and what the caches do not hold any more
+CLOSER = 0.9  # of the time of a ray where it is timed: in a large picture rays are closer together
 ALIKE = 0.06  # bytes of a voxel fall with the resolution to this power: its neighbours are more like it
 FEW = 8  # points in a box that weigh as much as all others do
 REFINED, FIT = 500_000, 2.5  # pixels that refining marches (see RefineSettings), and seconds of its fit
@@ -74,7 +76,7 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     it opens the view into what it cuts through is left out); blocks, those that meet what the small bake found full.
     peak_megabytes: what memory.py says of the blocks, and PROCESS. megabytes: a kept voxel takes as many bytes as in the small bake,
     times the resolution's ratio to the power -ALIKE; float cells are whole. preview: as many pixels see something as in the small
-    bake's pictures, and each takes as long, times that ratio to the power GROWTH, times CLOSER. Seconds: see `_seconds`.
+    bake's pictures, and each takes as long, times CLOSER and what more samples take (`slower`). Seconds: see `_seconds`.
     Raises SnergError for voxels so small that there would be too many.
     """
     rates, field = survey.rates, survey.field
@@ -94,12 +96,12 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / lattice.voxel_size)).argmin())]
     seconds = _seconds(survey, lattice, settings, looked, kept, samples)
     if refine and channels == 8 and field.dataset:
-        seconds["refine"] = FIT + rates.view * len(field.cameras) + rates.ray * finer**GROWTH * REFINED
+        seconds["refine"] = FIT + rates.view * len(field.cameras) + rates.ray * slower(rates.met, rates.growth, finer) * REFINED
     return Estimate(
         seconds,
         (bytes_needed(blocks, voxel_bytes) - WORKING + PROCESS) / 1e6,
         (coded if settings.quantise else blocks * CELL_VOXELS**3 * voxel_bytes) / 1e6,
-        rates.view + CLOSER * size[0] * size[1] * rates.ray * finer**GROWTH,
+        rates.view + CLOSER * size[0] * size[1] * rates.ray * slower(rates.met, rates.growth, finer),
         blocks * rates.table,
         int(looked),
         int(held),
@@ -109,20 +111,28 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     )
 
 
+def slower(met: float, growth: float, finer: float) -> float:
+    """How much longer a ray takes in voxels so much finer, where it takes `met` samples, which grow with the resolution to a power."""
+    return (BARE + met * finer ** (growth + COLD)) / (BARE + met)
+
+
 def _seconds(survey: Survey, lattice: Lattice, settings: BakeSettings, looked: float, kept: float, samples: int) -> dict[str, float]:
     """Of the stages of a bake.
 
     start: compiling takes as long as it did. occupancy: a voxel of a block that meets an occupied cell is tested, one in an
-    occupied cell is asked for. visibility: cameras and their rays take as long each as in the small bake. samples: where they are
+    occupied cell is asked for. visibility: cameras take as long each as in the small bake, rays
+    but for their samples. samples: where they are
     chosen, all rays are tried with each number up to twice the chosen one. prefilter: kept voxels, and samples of them,
     times BESIDE.
     """
     rates, cameras = survey.rates, len(survey.field.cameras)
+    finer = survey.pilot / lattice.halved().voxel_size  # what is seen is found out on half of the resolution
+    looking = rates.eye * cameras + rates.look * slower(rates.seen_met, rates.seen_growth, finer) * rays_of(survey.field, lattice)
     tried = RAYS * LENGTH * (FINER + 8 * (min(4 * samples, 2 * MOST) - 1)) if settings.samples == AUTO else 0
     return {
         "start": rates.start,
-        "occupancy": rates.test * int(may_hold(survey.coarse, lattice).sum()) * DATA_VOXELS**3 + rates.query * looked,
-        "visibility": rates.eye * cameras + rates.look * rays_of(survey.field, lattice) if settings.visibility and cameras else 0.0,
+        "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, lattice).sum()) * DATA_VOXELS**3 + rates.query * looked,
+        "visibility": looking if settings.visibility and cameras else 0.0,
         "samples": rates.fill * tried,
         "prefilter": BESIDE * kept * (rates.keep + samples * rates.fill),
     }

@@ -47,7 +47,10 @@ TIMED = 2  # which fineness is timed
 BLOCKS = 48  # of it
 SIZES = 40, 240  # widths of the pictures that are timed
 LOOKS = 24, 96  # and of those that only look: their rays are further apart
+COUNTED = 48  # and of those whose samples are counted
+STEEP = 1.2  # most that samples a ray may grow with: twice as fine, 2^1.2 times as many
 WIDTH = 400  # of a camera where there is none
+LOOKING = MarchSettings(stop_transmittance=BakeSettings().visibility_threshold)
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,8 @@ class Rates:
     """Seconds on this machine. start: compiling; test: a voxel of a block that may hold something; query: a point of the field, looked
     at in a bake; eye, look: a camera, and one of its rays, that decide what is visible; fill: a sample of a voxel; keep: a voxel
     that is filled, beside that; view, ray: a preview, and one of its rays; table: a block, before the first preview.
-    bytes: of a kept voxel as PNG, in the small bake."""
+    bytes: of a kept voxel as PNG, in the small bake. met, growth: samples that a preview's ray takes there, and the power of the
+    resolution with which they grow; seen_met, seen_growth: the same of rays that only look."""
 
     start: float
     test: float
@@ -68,6 +72,10 @@ class Rates:
     ray: float
     table: float
     bytes: float
+    met: float
+    growth: float
+    seen_met: float
+    seen_growth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +124,9 @@ def survey(field: Field, seed: int = 0) -> Survey:
     held = np.stack([found for found, _ in looks])
     kept = held & _reached(field, points, held, voxels, rng) if field.cameras else held
     samples = tuple(fitting(field, box, points[k], float(v), rng) for v, k in zip(voxels, kept, strict=True))
-    small = pilot(field, box)
-    rates = timed(field, Lattice.inside(box, float(voxels[TIMED])), points[kept[TIMED]], start, min(s for _, s in looks), small)
+    resolution = small_resolution(field)
+    coarser, small = pilot(field, box, resolution // 2), pilot(field, box, resolution)
+    rates = timed(field, Lattice.inside(box, float(voxels[TIMED])), points[kept[TIMED]], start, min(s for _, s in looks), small, coarser)
     took = time.perf_counter() - began - start
     return Survey(field, coarse(field), points, share, inside, voxels, held, kept, samples, _filled(small), small.voxel_size, rates, took)
 
@@ -226,15 +235,22 @@ def fitting(field: Field, box: Box, points: np.ndarray, voxel: float, rng: np.ra
     return worth(field, lattice, start, rng, 0)[0]
 
 
-def pilot(field: Field, box: Box) -> Snerg:
-    """A small bake, of about PILOT voxels that are looked at."""
+def small_resolution(field: Field) -> int:
+    """Of a small bake: about PILOT voxels are looked at."""
     occupied = CELLS**3 if field.occupancy is None else int(field.occupancy.sum())
-    resolution = int(np.clip(CELLS * (PILOT / max(occupied, 1)) ** (1 / 3), 32, 192))
+    return int(np.clip(CELLS * (PILOT / max(occupied, 1)) ** (1 / 3), 48, 192))
+
+
+def pilot(field: Field, box: Box, resolution: int) -> Snerg:
+    """A small bake, seen by a few of the cameras."""
     return bake(field, box, field.cameras[:: max(1, len(field.cameras) // 4)], BakeSettings(resolution=resolution, samples=1))
 
 
-def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, query: float, small: Snerg) -> Rates:
-    """What this machine takes for parts of a bake on a lattice, some of whose kept voxels are round points [N, 3], and of a march."""
+def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, query: float, small: Snerg, coarser: Snerg) -> Rates:
+    """What this machine takes for parts of a bake on a lattice, some of whose kept voxels are round points [N, 3], and of a march.
+
+    small, coarser: bakes of the field, the second half as fine.
+    """
     candidates = np.argwhere(may_hold(field, lattice))
     places = candidates[np.linspace(0, len(candidates) - 1, min(len(candidates), BLOCKS)).astype(int)]
     _, tested = together(lambda some: judge(depth_at(field, lattice, some), 0.005), np.array_split(places, max(1, len(places) // SLAB)))
@@ -249,7 +265,10 @@ def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, quer
     mixed = [np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1) for colour, alpha in values]
     pairs = list(zip(parts, mixed, strict=True))
     _, kept = together(lambda pair: quantize(pair[1], voxel_uniform(pair[0], channels, 1)), pairs)
-    eye, look, view, ray, table = _marches(small, field.cameras)
+    views = field.cameras[:: max(1, len(field.cameras) // 2)][:2] or [outside(small.box)]
+    eye, look, view, ray, table = _marches(small, views)
+    met, growth = growing(small, coarser, views, MarchSettings())
+    seen_met, seen_growth = growing(small, coarser, views, LOOKING)
     pictures = (picture for part in slices(small.cells, atlas_blocks(len(small.cells))) for picture in pictures_of(part, PNG).values())
     return Rates(
         start=start,
@@ -263,7 +282,30 @@ def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, quer
         ray=ray,
         table=table,
         bytes=sum(len(png_bytes(picture)) for picture in pictures) / max(kept_voxels(small.about["bake"]), 1),
+        met=met,
+        growth=growth,
+        seen_met=seen_met,
+        seen_growth=seen_growth,
     )
+
+
+def growing(small: Snerg, coarser: Snerg, views: Sequence[Camera], settings: MarchSettings) -> tuple[float, float]:
+    """Samples that a ray takes in a bake, and the power of the resolution with which they grow, from a bake half as fine."""
+    met = []
+    for scene in (coarser, small):
+        some = [_wide(camera, COUNTED) for camera in views]
+        taken = [march_rays(scene, *_rays(camera), settings, near=camera.near).samples or 0 for camera in some]
+        met.append(sum(taken) / sum(camera.width * camera.height for camera in some))
+    ratio, finer = met[1] / max(met[0], 1e-6), coarser.voxel_size / small.voxel_size
+    return met[1], float(np.clip(np.log(max(ratio, 1e-6)) / np.log(finer), 0, STEEP)) if finer > 1 else 0.0
+
+
+def _wide(camera: Camera, width: int) -> Camera:
+    return camera.resized(width, max(1, round(width * camera.height / camera.width)))
+
+
+def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    return camera.rays(tiled(camera.width, camera.height))
 
 
 def kept_voxels(told: dict[str, Any]) -> int:
@@ -272,18 +314,16 @@ def kept_voxels(told: dict[str, Any]) -> int:
     return int(voxels["held"] if voxels["seen"] is None else voxels["seen"])
 
 
-def _marches(snerg: Snerg, cameras: Sequence[Camera]) -> tuple[float, float, float, float, float]:
+def _marches(snerg: Snerg, views: Sequence[Camera]) -> tuple[float, float, float, float, float]:
     """Seconds of a camera and of each of its rays where they only look, of a picture and of each of its rays, and of the tables a block."""
     began = time.perf_counter()
     tables_of(snerg)
     table = (time.perf_counter() - began) / max(len(snerg.cells), 1)
-    views = cameras[:: max(1, len(cameras) // 2)][:2] or [outside(snerg.box)]
     visited = np.zeros(len(snerg.cells) * CELL_VOXELS**3, bool)
     march(snerg, views[0].resized(16, 16))  # what is done once
 
     def look(camera: Camera) -> None:
-        rays = camera.rays(tiled(camera.width, camera.height))
-        march_rays(snerg, *rays, MarchSettings(stop_transmittance=0.01), near=camera.near, visited=visited)
+        march_rays(snerg, *_rays(camera), LOOKING, near=camera.near, visited=visited)
 
     return *_line(look, views, LOOKS), *_line(lambda camera: march(snerg, camera), views, SIZES), table
 
@@ -292,7 +332,7 @@ def _line(work: Callable[[Camera], Any], views: Sequence[Camera], widths: Sequen
     """Seconds that a camera costs, and each of its rays, from pictures of two widths."""
     seconds, rays = [], []
     for width in widths:
-        some = [camera.resized(width, max(1, round(width * camera.height / camera.width))) for camera in views]
+        some = [_wide(camera, width) for camera in views]
         began = time.perf_counter()
         for camera in some:
             work(camera)
