@@ -11,7 +11,7 @@ from .capture.dataset import read_dataset
 from .capture.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_params, read_reference
-from .export.scene import is_scene, read_scene
+from .export.scene import codec_of, is_scene, read_scene
 from .field.checkpoint import is_field, read_field
 from .field.decide import forward_facing
 from .field.field import Field
@@ -33,7 +33,7 @@ def info(path: Path, progress: Progress = silent) -> Result:
         "dataset": _dataset_info,
         "field": lambda p: _field_info(any_field(p)),
         "checkpoint": lambda p: _field_info(any_field(p)),
-        "scene": lambda p: _scene_info(read_scene(p)),
+        "scene": _stored_info,
         "reference scene": _reference_info,
         "page": _page_info,
     }[kind](path)
@@ -134,6 +134,13 @@ def _field_info(field: Field) -> Result:
     }
 
 
+def _stored_info(path: Path) -> Result:
+    snerg = read_scene(path)
+    codec = codec_of(path)
+    quality = "" if codec.lossless else f", quality {codec.quality}"
+    return {"codec": codec.name + quality if snerg.quantised else "float", **_scene_info(snerg)}
+
+
 def _scene_info(snerg: Snerg) -> Result:
     return {
         "voxels": list(snerg.shape),
@@ -156,7 +163,7 @@ def _page_info(path: Path) -> Result:
     if not is_scene(path / "scene"):
         return {"single_file": True}
     cameras = read_json(path / "cameras.json")["cameras"]
-    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_scene_info(read_scene(path / "scene"))}
+    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_stored_info(path / "scene")}
 
 
 def folder_bytes(path: Path) -> int:

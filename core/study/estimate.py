@@ -20,18 +20,20 @@ from ..field.settings import TrainSettings
 from ..grid.bake import AUTO, BakeSettings
 from ..grid.box import CELL_VOXELS, DATA_VOXELS, Box
 from ..grid.lattice import Lattice
-from ..grid.memory import WORKING, blocks_met, bytes_needed
+from ..grid.memory import blocks_met
 from ..grid.occupancy import may_hold
 from ..grid.samples import FINER, LENGTH, MOST, RAYS
 from .survey import Survey, rays_of
 
 USUAL = BakeSettings()
 BARE = 6.0  # samples that take as long as all else that a ray takes
-COLD = 0.2  # power of the resolution with which a sample's own time grows: what it reads is further apart
+COLD = 0.1  # power of the resolution with which a sample's own time grows: what it reads is further apart
 BEGUN = 0.08  # seconds of a bake's first stage, however little there is
-PROCESS = 430e6  # bytes that a bake takes whatever its size; memory.py, which refuses what would not fit, allows for more
+# Of memory, measured: bytes that a bake takes whatever its size, and times its cells: themselves, the file where they were kept, and as
+# pictures. The system can take some of it back; memory.py, which refuses what would not fit, counts only what it cannot.
+PROCESS, HELD = 330e6, 3.0
 BESIDE = 1.12  # of the time of filling voxels one after another, with moving them, and what the caches do not hold any more
-CLOSER = 0.9  # of the time of a ray where it is timed: in a large picture rays are closer together
+CLOSER = 0.85  # of the time of a ray where it is timed: in a large picture rays are closer together
 ALIKE = 0.06  # bytes of a voxel fall with the resolution to this power: its neighbours are more like it
 FEW = 8  # points in a box that weigh as much as all others do
 REFINED, FIT = 500_000, 2.5  # pixels that refining marches (see RefineSettings), and seconds of its fit
@@ -74,7 +76,7 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
 
     What is counted, in the box: looked, held and kept voxels, as many as points of the survey say (what a box cuts off is gone, that
     it opens the view into what it cuts through is left out); blocks, those that meet what the small bake found full.
-    peak_megabytes: what memory.py says of the blocks, and PROCESS. megabytes: a kept voxel takes as many bytes as in the small bake,
+    peak_megabytes: HELD times the cells, and PROCESS. megabytes: a kept voxel takes as many bytes as in the small bake,
     times the resolution's ratio to the power -ALIKE; float cells are whole. preview: as many pixels see something as in the small
     bake's pictures, and each takes as long, times CLOSER and what more samples take (`slower`). Seconds: see `_seconds`.
     Raises SnergError for voxels so small that there would be too many.
@@ -89,7 +91,7 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     cubes = survey.filled[0][box.contains(survey.filled[0])]
     blocks = blocks_met((cubes, survey.filled[1]), lattice) if len(cubes) else 0
     channels = 8 if settings.network and field.network is not None else 4
-    voxel_bytes = channels * (1 if settings.quantise else 4)
+    cells = blocks * CELL_VOXELS**3 * channels * (1 if settings.quantise else 4)
     finer = survey.pilot / lattice.voxel_size
     coded = kept * rates.bytes * finer**-ALIKE * channels / (8 if field.network is not None else 4)
     looked = volume * int((survey.inside & inside).sum())
@@ -99,8 +101,8 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
         seconds["refine"] = FIT + rates.view * len(field.cameras) + rates.ray * slower(rates.met, rates.growth, finer) * REFINED
     return Estimate(
         seconds,
-        (bytes_needed(blocks, voxel_bytes) - WORKING + PROCESS) / 1e6,
-        (coded if settings.quantise else blocks * CELL_VOXELS**3 * voxel_bytes) / 1e6,
+        (PROCESS + HELD * cells) / 1e6,
+        (coded if settings.quantise else cells) / 1e6,
         rates.view + CLOSER * size[0] * size[1] * rates.ray * slower(rates.met, rates.growth, finer),
         blocks * rates.table,
         int(looked),

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import pytest
 from flax_checkpoint import networks, tree, write
 from scenes import make_snerg
 from snerg.core import cli
+from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene import write_scene
 from snerg.core.field.checkpoint import read_field
 from snerg.core.grid.bake import BakeSettings
@@ -38,6 +40,15 @@ def test_json_is_the_last_line(scene, capsys):
     value = json.loads(output.out.splitlines()[-1])
     assert value["kind"] == "scene" and value["voxels"] == [31, 30, 33] and not value["effects"]["view_dependence"]
     assert output.err == ""
+
+
+def test_a_scene_says_how_its_pictures_are_stored(scene, tmp_path, capsys):
+    snerg = make_snerg((31, 30, 33), diffuse=True)
+    write_scene(snerg, tmp_path / "jpeg", codec=CodecSettings("jpeg", 80))
+    write_scene(replace(snerg, cells=snerg.cells / np.float32(255)), tmp_path / "float")
+    for path, codec in ((scene, "png"), (tmp_path / "jpeg", "jpeg, quality 80"), (tmp_path / "float", "float")):
+        assert cli.main(["info", str(path), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out.splitlines()[-1])["codec"] == codec
 
 
 def test_people_get_a_table(scene, capsys):
