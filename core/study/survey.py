@@ -47,6 +47,7 @@ TIMED = 2  # which fineness is timed
 BLOCKS = 48  # of it
 SIZES = 40, 240  # widths of the pictures that are timed
 LOOKS = 24, 96  # and of those that only look: their rays are further apart
+REPEATS = 2
 COUNTED = 48  # and of those whose samples are counted
 STEEP = 1.2  # most that samples a ray may grow with: twice as fine, 2^1.2 times as many
 WIDTH = 400  # of a camera where there is none
@@ -329,17 +330,20 @@ def _marches(snerg: Snerg, views: Sequence[Camera]) -> tuple[float, float, float
 
 
 def _line(work: Callable[[Camera], Any], views: Sequence[Camera], widths: Sequence[int]) -> tuple[float, float]:
-    """Seconds that a camera costs, and each of its rays, from pictures of two widths."""
+    """Seconds that a camera costs, and each of its rays, from pictures of two widths; what else runs on a machine only adds to them."""
     seconds, rays = [], []
     for width in widths:
         some = [_wide(camera, width) for camera in views]
-        began = time.perf_counter()
-        for camera in some:
-            work(camera)
-        seconds.append((time.perf_counter() - began) / len(some))
+        seconds.append(sum(min(_seconds(work, camera) for _ in range(REPEATS)) for camera in some) / len(some))
         rays.append(sum(camera.width * camera.height for camera in some) / len(some))
     ray = max((seconds[1] - seconds[0]) / (rays[1] - rays[0]), 0.2 * seconds[1] / rays[1])
     return max(seconds[0] - ray * rays[0], 0.0), ray
+
+
+def _seconds(work: Callable[[Camera], Any], camera: Camera) -> float:
+    began = time.perf_counter()
+    work(camera)
+    return time.perf_counter() - began
 
 
 def rays_of(field: Field, lattice: Lattice) -> float:
