@@ -72,16 +72,19 @@ def estimate(
 
         return {"kind": kind, "path": str(path), **train(read_dataset(path, "train", options), training)}
     from .study.estimate import estimate as bake
-    from .study.kept_survey import read_survey, write_survey
+    from .study.kept_survey import check_survey, read_survey, stamp, write_survey
     from .study.survey import survey as look
 
+    if survey is not None:
+        check_survey(survey)
+    mark = stamp(path)
     field = any_field(path)
     volume = Box.read(box) if box is not None else field.domain.world_box()
-    looked = read_survey(survey, path, field) if survey is not None else None
+    looked = read_survey(survey, mark, lambda: field) if survey is not None else None
     if looked is None:
         progress(0.1, "Looking at the field")
         looked = look(field)
         if survey is not None:
-            write_survey(survey, looked, path)
+            write_survey(survey, looked, mark)
     told = bake(looked, volume, settings, refine, size)
     return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}

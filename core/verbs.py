@@ -31,7 +31,7 @@ from .field.log import FILE as LOG
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
 from .files import check_replaceable, json_bytes, new_folder
-from .grid.bake import BakeSettings
+from .grid.bake import BakeSettings, check_lengths
 from .grid.box import Box
 from .grid.kept import discard
 from .grid.march import MarchSettings, march
@@ -163,8 +163,7 @@ def bake_scene(
 
 
 def _check_settings(settings: BakeSettings, field: Field) -> None:
-    if settings.voxel_size is not None and field.ndc is not None:
-        raise SnergError("The field lies in device coordinates, in which a length is not one of the scene; choose a resolution instead.")
+    check_lengths(settings, field)
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
     if not settings.visibility and not field.cameras:

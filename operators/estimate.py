@@ -26,6 +26,7 @@ class SNERG_OT_estimate(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`estimate` of the command line, whose look at the field stays in the project for the panel."""
+        project.survey.unlink(missing_ok=True)  # the machine may have been busy when it was made
         width, height = resolution(context.scene)
         size = ["--width", str(width), "--height", str(height), "--survey", str(project.survey)]
         return start_verb(["estimate", str(project.field), *size, *baking_arguments(context, project)])

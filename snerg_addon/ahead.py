@@ -14,10 +14,12 @@ from ..core.grid.bake import BakeSettings
 from ..core.grid.box import Box
 from ..core.study.estimate import estimate
 from ..core.study.kept_survey import read_survey
+from ..core.study.kept_survey import stamp as mark
 from ..core.study.survey import Survey
 from .bridge import box_from_blender, resolution
 from .project import Project, project_of
 
+KEPT = 16  # answers: more than there are windows
 _surveys: dict[Path, tuple[tuple[int, int], Survey | None]] = {}
 _told: dict[str, list[str]] = {}
 
@@ -31,11 +33,10 @@ def survey_of(project: Project) -> Survey | None:
     known = _surveys.get(project.survey)
     if known is None or known[0] != stamp:
         try:
-            found = read_survey(project.survey, project.field, read_field(project.field))
-        except SnergError:
+            found = read_survey(project.survey, mark(project.field), lambda: read_field(project.field))
+        except (SnergError, OSError):
             found = None
         _told.clear()
-        _surveys.clear()
         known = _surveys[project.survey] = (stamp, found)
     return known[1]
 
@@ -59,7 +60,8 @@ def _lines(survey: Survey, box: Box, settings: BakeSettings, refine: bool, size:
     key = json.dumps([id(survey), box.to_json(), str(settings), refine, size])
     if key not in _told:
         found = estimate(survey, box, settings, refine, size)
-        _told.clear()
+        if len(_told) > KEPT:
+            _told.clear()
         _told[key] = told(found.bake + found.seconds.get("refine", 0.0), found.peak_megabytes, found.megabytes, found.preview)
     return _told[key]
 

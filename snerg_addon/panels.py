@@ -260,8 +260,7 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         layout.prop(settings, "refine")
         lines = ahead.texts(context)
         facts(layout, *(part for line in lines for part in textwrap.wrap(line, LINE)))
-        if not lines:
-            layout.operator("snerg.estimate", icon="TIME")
+        layout.operator("snerg.estimate", icon="TIME", text="Estimate Again" if lines else "Estimate")
         layout.operator("snerg.bake", icon="RENDER_STILL")
         layout.operator("snerg.import_scene", icon="IMPORT")
         note = project.notes().get("scene", {})

@@ -59,7 +59,7 @@ class Project:
 
     @property
     def box(self) -> Path:
-        """The box as the last bake used it, JSON."""
+        """The box as the last bake or estimate used it, JSON."""
         return self.folder / "box.json"
 
     @property

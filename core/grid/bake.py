@@ -144,6 +144,12 @@ def bake(
     )
 
 
+def check_lengths(settings: BakeSettings, field: Field) -> None:
+    """Raises SnergError when voxels are to have a size in a space where no length is one of the scene's."""
+    if settings.voxel_size is not None and field.ndc is not None:
+        raise SnergError("The field lies in device coordinates, in which a length is not one of the scene; choose a resolution instead.")
+
+
 def check_field(field: Field) -> None:
     """Raise SnergError when a field cannot be baked."""
     if field.view not in ("deferred", "diffuse"):

@@ -50,6 +50,25 @@ def number(mask: np.ndarray) -> np.ndarray:
     return indirection
 
 
+def covered(first: np.ndarray, last: np.ndarray, blocks: tuple[int, ...]) -> np.ndarray:
+    """bool [bx, by, bz]: blocks in any of the ranges from places first to last [N, 3], both included, as far as they are in the grid.
+
+    Each range is +1 and -1 at its corners, and sums along the axes fill it: as quick for one block a range as for the whole grid.
+    """
+    first, last = np.maximum(first, 0), np.minimum(last, np.array(blocks) - 1)
+    kept = (first <= last).all(axis=-1)
+    ends = np.stack([first[kept], last[kept] + 1])
+    wide = tuple(size + 1 for size in blocks)
+    count = np.zeros(int(np.prod(wide)), np.int64)
+    for corner in product((0, 1), repeat=3):
+        place = np.ravel_multi_index(tuple(ends[end, :, axis] for axis, end in enumerate(corner)), wide)
+        count += (-1) ** sum(corner) * np.bincount(place, minlength=len(count))
+    filled = count.reshape(wide)
+    for axis in range(3):
+        filled = filled.cumsum(axis=axis)
+    return filled[:-1, :-1, :-1] > 0
+
+
 def renumbered(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
     """Rows [M, ...] of one indirection grid as those of another, 0 for blocks that the old one lacks."""
     moved = np.zeros((int(new.max(initial=-1)) + 1, *values.shape[1:]), values.dtype)

@@ -79,7 +79,7 @@ def march(
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
 ) -> Frame:
-    """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few hundredths of a second."""
+    """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few tenths of a second."""
     pixels, near = tiled(camera.width, camera.height), max(snerg.near, camera.near)
     found = _march(snerg, lambda some: camera.rays(pixels[some]), len(pixels), settings, progress, near)
     colour, alpha = found.colour, 1 - found.transmittance
@@ -224,7 +224,7 @@ def _march(
         walk = Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None)
         walk.run(cancelled)
 
-    _together(work, settings.threads, lambda: progress(supply.taken / max(len(supply.shares), 1), "Marching"))
+    _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins
     depth *= np.float32(snerg.voxel_size)
     found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)

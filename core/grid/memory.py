@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import SnergError
 from ..field.field import Field
 from ..field.volume import optical_depth
+from .blocks import covered
 from .box import CELL_VOXELS, DATA_VOXELS, Box
 from .lattice import Lattice
 
@@ -64,16 +65,12 @@ def full_points(field: Field, box: Box) -> tuple[np.ndarray, float]:
 
 
 def blocks_met(full: tuple[np.ndarray, float], lattice: Lattice) -> int:
-    """How many blocks of a lattice the cubes round points [N, 3] meet, about: by their centres and corners."""
+    """How many blocks of a lattice the cubes round points [N, 3] meet, about: as if they stood along its axes."""
     points, size = full
     middle = (points - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / lattice.voxel_size
     half = size / lattice.voxel_size / 2
-    ticks = np.linspace(-half, half, max(2, int(np.ceil(2 * half / DATA_VOXELS)) + 1))
-    met = np.zeros(lattice.blocks, bool)
-    for offset in np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), axis=-1).reshape(-1, 3):
-        place = np.floor((middle + offset) / DATA_VOXELS).astype(np.int64)
-        met[tuple(np.clip(place, 0, np.array(lattice.blocks) - 1).T)] = True
-    return int(met.sum())
+    first, last = (np.floor((middle + way * half) / DATA_VOXELS).astype(np.int64) for way in (-1, 1))
+    return int(covered(first, last, lattice.blocks).sum())
 
 
 def available_bytes() -> int | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..field.field import Field
 from ..field.volume import optical_depth
-from .blocks import number, pack
+from .blocks import covered, number, pack
 from .box import DATA_VOXELS
 from .kept import Arrays, Kept, each
 from .lattice import Lattice
@@ -72,14 +72,8 @@ def may_hold(field: Field, lattice: Lattice) -> np.ndarray:
     rotation, voxel = lattice.grid_to_world[:3, :3], lattice.voxel_size
     middle = (centres - lattice.grid_to_world[:3, 3]) @ rotation / voxel
     half = np.abs(rotation).sum(axis=0) / (cells * field.domain.scale * voxel) + 1e-3
-    first = np.floor((middle - half) / DATA_VOXELS).astype(np.int64).clip(0)
-    last = np.floor((middle + half) / DATA_VOXELS).astype(np.int64).clip(None, np.array(lattice.blocks) - 1)
-    found = np.zeros(lattice.blocks, bool)
-    reach = (last - first).max(axis=0, initial=-1) + 1
-    for step in np.ndindex(*reach):
-        place = first + step
-        found[tuple(place[(place <= last).all(axis=-1)].T)] = True
-    return found
+    first, last = (np.floor((middle + way * half) / DATA_VOXELS).astype(np.int64) for way in (-1, 1))
+    return covered(first, last, lattice.blocks)
 
 
 def depth_at(field: Field, lattice: Lattice, places: np.ndarray) -> np.ndarray:

@@ -50,13 +50,13 @@ class Rays:
 class Supply:
     """What `walks` walks, each in a thread of its own, take their rays from.
 
-    shares: of all rays, in order; make: the rays of one that may meet something, called in the thread that comes for them. samples:
-    how many the walks that have ended took.
+    shares: of all rays, in order; make: the rays of one that may meet something, called in the thread that comes for them. finished: how
+    many rays are, those that meet nothing included; samples: how many were taken.
     """
 
     def __init__(self, make: Callable[[slice], Rays], shares: Sequence[slice], walks: int) -> None:
         self.make, self.shares, self.walks = make, shares, walks
-        self.taken = self.making = self.samples = 0
+        self.taken = self.making = self.finished = self.samples = 0
         self.ready: list[Rays] = []
         self.changed = threading.Condition()
 
@@ -82,7 +82,9 @@ class Supply:
             with self.changed:
                 self.making -= 1
                 self.changed.notify_all()
-                made = None if made is None else self._cut(made, room)
+                if made is not None:
+                    self.finished += share.stop - share.start - len(made.index)
+                    made = self._cut(made, room)
         return made
 
     def _cut(self, rays: Rays, room: int) -> Rays:
@@ -92,16 +94,18 @@ class Supply:
         return rays.some(slice(room))
 
     def hand(self, rays: Rays) -> bool:
-        """Give rays to another walk, which will take them; then this one ends. False where no other is left, or there are more to take."""
+        """Give rays to another walk, which will take them; then this one ends. False where no other is left, or there are
+        more to take, or soon will be."""
         with self.changed:
-            if self.walks == 1 or self.ready or self.taken < len(self.shares):
+            if self.walks == 1 or self.ready or self.making or self.taken < len(self.shares):
                 return False
             self.walks -= 1
             self.ready.append(rays)
             self.changed.notify_all()
             return True
 
-    def ended(self, samples: int) -> None:
-        """A walk is over, which took so many samples."""
+    def count(self, finished: int, samples: int) -> None:
+        """So many more rays are finished, and samples taken."""
         with self.changed:
+            self.finished += finished
             self.samples += samples

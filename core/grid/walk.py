@@ -67,6 +67,7 @@ class Walk:
 
     def run(self, cancelled: Callable[[], bool] = lambda: False) -> None:
         """March all that there is; returns early when `cancelled` says so."""
+        self.cancelled = cancelled
         self.pack()
         while len(self.index) and not cancelled():
             self.advance()
@@ -74,13 +75,14 @@ class Walk:
             self.alive &= self.light > self.stop
             if np.count_nonzero(self.alive) < 0.85 * len(self.alive):
                 self.pack()
-        self.supply.ended(self.samples)
 
     def pack(self) -> None:
         """Write down the rays that have ended, keep the others, and begin as many new ones as the batch has room for."""
         ended = np.flatnonzero(~self.alive)
         self.into.values[self.index[ended]] = self.values[ended]
         self.into.through[self.index[ended]] = self.light[ended]
+        self.supply.count(len(ended), self.samples)
+        self.samples = 0
         rays = Rays(self.index, self.moving, self.light, self.values).only(np.flatnonzero(self.alive))
         rays = Rays.joined([rays, *self.begin(self.batch - len(rays.index), not len(rays.index))])
         if 0 < len(rays.index) <= FEW and self.supply.hand(rays):
@@ -91,7 +93,7 @@ class Walk:
     def begin(self, room: int, idle: bool) -> list[Rays]:
         """Up to `room` more rays. idle: there are none at present."""
         new: list[Rays] = []
-        while room > 0 and (more := self.supply.take(room, idle)) is not None:
+        while room > 0 and not self.cancelled() and (more := self.supply.take(room, idle)) is not None:
             new.append(more)
             room -= len(more.index)
             idle &= not len(more.index)

@@ -17,7 +17,7 @@ from ..field.field import Field
 from ..field.networks import init_field
 from ..field.sampling import Domain
 from ..field.settings import TrainSettings
-from ..grid.bake import AUTO, BakeSettings
+from ..grid.bake import AUTO, BakeSettings, check_lengths
 from ..grid.box import CELL_VOXELS, DATA_VOXELS, Box
 from ..grid.lattice import Lattice
 from ..grid.memory import blocks_met
@@ -79,9 +79,10 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     peak_megabytes: HELD times the cells, and PROCESS. megabytes: a kept voxel takes as many bytes as in the small bake,
     times the resolution's ratio to the power -ALIKE; float cells are whole. preview: as many pixels see something as in the small
     bake's pictures, and each takes as long, times CLOSER and what more samples take (`slower`). Seconds: see `_seconds`.
-    Raises SnergError for voxels so small that there would be too many.
+    Raises SnergError for voxels so small that there would be too many, and for their size in device coordinates.
     """
     rates, field = survey.rates, survey.field
+    check_lengths(settings, field)
     lattice = Lattice.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     inside = box.contains(survey.points)
     volume = survey.share / lattice.voxel_size**3
@@ -121,7 +122,7 @@ def slower(met: float, growth: float, finer: float) -> float:
 def _seconds(survey: Survey, lattice: Lattice, settings: BakeSettings, looked: float, kept: float, samples: int) -> dict[str, float]:
     """Of the stages of a bake.
 
-    start: compiling takes as long as it did. occupancy: a voxel of a block that meets an occupied cell is tested, one in an
+    start: compiling takes as long as it did. occupancy: BEGUN; a voxel of a block that meets an occupied cell is tested, one in an
     occupied cell is asked for. visibility: cameras take as long each as in the small bake, rays
     but for their samples. samples: where they are
     chosen, all rays are tried with each number up to twice the chosen one. prefilter: kept voxels, and samples of them,

@@ -45,7 +45,7 @@ SAMPLE_RAYS = 100  # to choose samples a voxel by
 CUBES = 40_000  # full ones that are kept at most
 TIMED = 2  # which fineness is timed
 BLOCKS = 48  # of it
-SIZES = 40, 240  # widths of the pictures that are timed
+SIZES = 40, 240  # sides of the pictures that are timed, as if they were square
 LOOKS = 24, 96  # and of those that only look: their rays are further apart
 REPEATS = 2
 COUNTED = 48  # and of those whose samples are counted
@@ -106,7 +106,7 @@ class Survey:
 
 
 def survey(field: Field, seed: int = 0) -> Survey:
-    """Look at a field, and time this machine on it (JAX). Takes about a second beside compiling.
+    """Look at a field, and time this machine on it (JAX). Takes a few seconds beside compiling.
 
     Raises SnergError for a field that cannot be baked, or that is empty.
     """
@@ -292,17 +292,23 @@ def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, quer
 
 def growing(small: Snerg, coarser: Snerg, views: Sequence[Camera], settings: MarchSettings) -> tuple[float, float]:
     """Samples that a ray takes in a bake, and the power of the resolution with which they grow, from a bake half as fine."""
-    met = []
+    met, some = [], [_sized(camera, COUNTED) for camera in views]
     for scene in (coarser, small):
-        some = [_wide(camera, COUNTED) for camera in views]
-        taken = [march_rays(scene, *_rays(camera), settings, near=camera.near).samples or 0 for camera in some]
-        met.append(sum(taken) / sum(camera.width * camera.height for camera in some))
+        taken = sum(march_rays(scene, *_rays(camera), settings, near=camera.near).samples or 0 for camera in some)
+        met.append(taken / sum(_count(camera) for camera in some))
     ratio, finer = met[1] / max(met[0], 1e-6), coarser.voxel_size / small.voxel_size
     return met[1], float(np.clip(np.log(max(ratio, 1e-6)) / np.log(finer), 0, STEEP)) if finer > 1 else 0.0
 
 
-def _wide(camera: Camera, width: int) -> Camera:
-    return camera.resized(width, max(1, round(width * camera.height / camera.width)))
+def _sized(camera: Camera, side: int) -> Camera:
+    """A camera with about side x side pixels, whatever its picture's shape."""
+    scale = side / np.sqrt(camera.width * camera.height)
+    return camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
+
+
+def _count(camera: Camera) -> int:
+    """Rays of a picture, which is marched in whole tiles."""
+    return -(-camera.width // TILE) * -(-camera.height // TILE) * TILE**2
 
 
 def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -329,13 +335,13 @@ def _marches(snerg: Snerg, views: Sequence[Camera]) -> tuple[float, float, float
     return *_line(look, views, LOOKS), *_line(lambda camera: march(snerg, camera), views, SIZES), table
 
 
-def _line(work: Callable[[Camera], Any], views: Sequence[Camera], widths: Sequence[int]) -> tuple[float, float]:
-    """Seconds that a camera costs, and each of its rays, from pictures of two widths; what else runs on a machine only adds to them."""
+def _line(work: Callable[[Camera], Any], views: Sequence[Camera], sides: Sequence[int]) -> tuple[float, float]:
+    """Seconds that a camera costs, and each of its rays, from pictures of two sizes; what else runs on a machine only adds to them."""
     seconds, rays = [], []
-    for width in widths:
-        some = [_wide(camera, width) for camera in views]
+    for side in sides:
+        some = [_sized(camera, side) for camera in views]
         seconds.append(sum(min(_seconds(work, camera) for _ in range(REPEATS)) for camera in some) / len(some))
-        rays.append(sum(camera.width * camera.height for camera in some) / len(some))
+        rays.append(sum(_count(camera) for camera in some) / len(some))
     ray = max((seconds[1] - seconds[0]) / (rays[1] - rays[0]), 0.2 * seconds[1] / rays[1])
     return max(seconds[0] - ray * rays[0], 0.0), ray
 
@@ -351,8 +357,7 @@ def rays_of(field: Field, lattice: Lattice) -> float:
     half, some = lattice.halved(), field.cameras[:: max(1, len(field.cameras) // EYES)]
     nothing = np.full(half.blocks, -1, np.int32), np.zeros((0, *(CELL_VOXELS,) * 3, 4), np.uint8)
     scene = Snerg(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
-    sizes = [(camera.width, camera.height) for camera in (marching_camera(camera, scene) for camera in some)]
-    return sum(-(-w // TILE) * -(-h // TILE) * TILE**2 for w, h in sizes) * len(field.cameras) / max(len(some), 1)
+    return sum(_count(marching_camera(camera, scene)) for camera in some) * len(field.cameras) / max(len(some), 1)
 
 
 def outside(box: Box) -> Camera:

@@ -95,6 +95,22 @@ def test_a_ray_does_not_depend_on_its_batch():
     whole, split = march(snerg, camera), march(snerg, camera, MarchSettings(batch=37, threads=1))
     assert np.array_equal(whole.colour, split.colour)
     assert np.array_equal(whole.alpha, split.alpha)
+    handed = march(snerg, camera, MarchSettings(batch=37, threads=3))
+    assert np.array_equal(whole.colour, handed.colour) and np.array_equal(whole.depth, handed.depth)
+
+
+@pytest.mark.hard_case(35)
+def test_many_rays_are_what_their_parts_are():
+    """More than are made at a time, and than one walk takes; and the samples of all are counted."""
+    snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
+    camera = replace(make_cameras(CENTRE)[0].resized(240, 200))
+    rays = camera.rays(tiled(240, 200))
+    whole = march_rays(snerg, *rays)
+    parts = [march_rays(snerg, *(values[start : start + 6400] for values in rays)) for start in range(0, len(rays[0]), 6400)]
+    assert len(rays[0]) > 2 * 16384
+    assert np.array_equal(whole.colour, np.concatenate([part.colour for part in parts]))
+    assert np.array_equal(whole.depth, np.concatenate([part.depth for part in parts]))
+    assert whole.samples == sum(part.samples for part in parts) > len(rays[0])
 
 
 @pytest.mark.hard_case(6)

@@ -23,6 +23,14 @@ def test_every_ray_is_given_once_in_parts_that_fit():
     assert sorted(taken) == list(range(13))
 
 
+def test_what_is_finished_and_taken_is_counted():
+    supply = Supply(lambda some: rays(some.start, 3), [slice(0, 10)], 1)
+    assert supply.take(8, idle=True) is not None
+    assert supply.finished == 7, "those that meet nothing are, at once"
+    supply.count(3, 40)
+    assert (supply.finished, supply.samples) == (10, 40)
+
+
 def test_rays_are_handed_on_only_to_a_walk_that_is_still_there():
     supply = Supply(lambda some: rays(some.start, some.stop - some.start), [slice(0, 3)], 2)
     assert not supply.hand(rays(0, 3)), "there is more to take"
@@ -52,6 +60,7 @@ def test_an_idle_walk_waits_for_rays_that_another_is_making():
     for one in walks:
         one.start()
     assert asked.wait(10)
+    assert not supply.hand(rays(6, 1)), "there will be more to take"
     assert supply.take(2, idle=False) is None, "who has rays of its own goes on with those"
     assert supply.walks == 2, "the other has not ended"
     made.set()

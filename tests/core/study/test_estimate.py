@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from scenes import looking, make_snerg, random_network
+from scenes import looking, make_frame, make_snerg, random_network
 from snerg.core import cli
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import read_dataset
@@ -110,30 +110,58 @@ def test_it_can_be_asked_while_a_box_is_dragged(surveyed):
     from snerg.core.study.estimate import estimate
 
     took = []
-    for shift in np.linspace(0, 0.5, 5):
-        began = time.perf_counter()
-        estimate(surveyed, Box.axis_aligned([-1 + shift] * 3, [1, 1, 1]))
-        took.append(time.perf_counter() - began)
-    assert min(took) < 0.1  # half of it is what is wanted; the machine may be busy
+    for side in (2, 1.9, 1, 0.5, 0.2, 0.05, 0.02):  # however small: then a cell of the field meets thousands of blocks
+        for corner in ([-1, -1, -1], [0.6, 0, 0]):
+            began = time.perf_counter()
+            estimate(surveyed, Box.axis_aligned(corner, np.array(corner) + side))
+            took.append(time.perf_counter() - began)
+    assert np.median(took) < 0.1 and max(took) < 0.5  # half of it is what is wanted; the machine may be busy
 
 
 def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tmp_path):
     from snerg.core.study.estimate import estimate
-    from snerg.core.study.kept_survey import read_survey, write_survey
+    from snerg.core.study.kept_survey import check_survey, read_survey, stamp, write_survey
 
-    source, path, field = tmp_path / "field.npz", tmp_path / "survey.npz", surveyed.field
+    folder, path = tmp_path / "field", tmp_path / "survey.npz"
+    folder.mkdir()
+    source = folder / "field.npz"
     source.write_bytes(b"a field")
-    assert read_survey(path, source, field) is None
-    write_survey(path, surveyed, source)
-    again = read_survey(path, source, field)
+
+    def read():
+        return read_survey(path, stamp(folder), lambda: surveyed.field)
+
+    check_survey(path)
+    assert read() is None
+    write_survey(path, surveyed, stamp(folder))
+    check_survey(path)
+    again = read()
     for box in (BOX, Box.axis_aligned([-1, -1, -1], [0, 1, 1])):
         assert estimate(again, box).to_json() == estimate(surveyed, box).to_json()
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    assert read_survey(path, source, field) is None
+    assert read() is None
     path.write_bytes(whole)
     source.write_bytes(b"trained for longer")
-    assert read_survey(path, source, field) is None
+    assert read() is None
+    with pytest.raises(SnergError, match=r"field.npz is there already"):
+        check_survey(source)
+
+
+def test_a_folder_of_checkpoints_is_another_when_a_newer_one_is_there(tmp_path):
+    from snerg.core.study.kept_survey import stamp
+
+    (tmp_path / "checkpoint_100").write_bytes(b"early")
+    first = stamp(tmp_path)
+    (tmp_path / "checkpoint_2000").write_bytes(b"much later")
+    assert stamp(tmp_path) not in (first, stamp(tmp_path / "checkpoint_100")) and stamp(tmp_path) == stamp(tmp_path / "checkpoint_2000")
+
+
+def test_a_length_is_none_in_device_coordinates(surveyed):
+    from snerg.core.study.estimate import estimate
+
+    forward = replace(surveyed, field=replace(surveyed.field, ndc=make_frame()))
+    with pytest.raises(SnergError, match="device coordinates"):
+        estimate(forward, BOX, BakeSettings(voxel_size=0.1))
 
 
 def test_a_training_is_so_many_steps(dataset):
