@@ -13,7 +13,7 @@ from .front import Row
 from .plan import RESOLUTION, STAGES, WATERFALL, Step
 
 GOOD = 0.25  # a prediction within this of what then happens is a good one
-PREDICTED = {"bake": "bake, s", "refine": "refining, s", "ms": "frame, ms", "megabytes": "files, MB", "peak_megabytes": "peak memory, MB"}
+PREDICTED = {"bake": "bake, s", "refine": "refining, s", "ms": "frame, ms", "megabytes": "files, MB"}
 
 
 @dataclass(frozen=True)
@@ -63,20 +63,22 @@ def difference(row: Row, usual: Row) -> tuple[float, float]:
 
 
 def predictions(rows: Sequence[Row]) -> list[tuple[str, Row, float, float]]:
-    """(what, row, said, was) of every number that was predicted; what a bake took is said once a bake."""
-    found, baked = [], set()
+    """(what, row, said, was) of every number that was predicted; what a bake and its refining took is said
+    once a bake."""
+    found: list[tuple[str, Row, float, float]] = []
+    done: set[tuple[str, str]] = set()
     for row in rows:
-        measured = {"bake": row["seconds"].get("bake"), "refine": row["seconds"].get("refine"), "peak_megabytes": row.get("peak_megabytes")}
+        measured = {"bake": row["seconds"].get("bake"), "refine": row["seconds"].get("refine")}
         measured |= {"ms": row["ms"], "megabytes": row["megabytes"]}
         once = str(row["config"]["bake"]) + row["config"]["field"] if row["config"] else row["key"]
         plain = row["config"] is not None and row["config"]["codec"]["name"] in ("png", "float")
         usual = row["config"] is not None and not row["config"]["march"]["per_sample_network"]
-        for name, said in row.get("predicted", {}).items():
-            was = measured[name]
-            again = name in ("bake", "peak_megabytes") and once in baked
+        for name, was in measured.items():
+            said = row.get("predicted", {}).get(name)
+            again = name in ("bake", "refine") and (name, once) in done
             if was and said and not again and (plain or name != "megabytes") and (usual or name != "ms"):
                 found.append((name, row, float(said), float(was)))
-        baked.add(once)
+                done.add((name, once))
     return found
 
 

@@ -199,9 +199,8 @@ class Sweep:
         return frame, statistics.median(seconds)
 
     def _prediction(self, said: Estimate, config: Config) -> dict[str, float]:
-        """In the row's own terms; a bake's compiling is done by the survey."""
+        """In the row's own terms; a bake's compiling is done by the survey, and its memory is that of a process which does nothing else."""
         result = {"bake": said.bake - said.seconds.get("start", 0.0), "ms": 1e3 * said.preview, "megabytes": said.megabytes}
-        result["peak_megabytes"] = said.peak_megabytes
         if "refine" in said.seconds and config.refine:
             result["refine"] = said.seconds["refine"]
         return {name: round(value, 3) for name, value in result.items()}
