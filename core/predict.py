@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .capture.dataset import DatasetOptions, read_dataset
 from .describe import Result, any_field, any_scene, kind_of
@@ -13,6 +14,9 @@ from .grid.bake import BakeSettings
 from .grid.box import Box
 from .progress import Progress, silent
 from .study.effects import Effect, of_dataset, of_field, of_scene
+
+if TYPE_CHECKING:
+    from .study.survey import Survey
 
 USUAL = BakeSettings()
 EIGHTH = DatasetOptions()
@@ -72,19 +76,25 @@ def estimate(
 
         return {"kind": kind, "path": str(path), **train(read_dataset(path, "train", options), training)}
     from .study.estimate import estimate as bake
-    from .study.kept_survey import check_survey, read_survey, stamp, write_survey
-    from .study.survey import survey as look
 
-    if survey is not None:
-        check_survey(survey)
-    mark = stamp(path)
-    field = any_field(path)
-    volume = Box.read(box) if box is not None else field.domain.world_box()
-    looked = read_survey(survey, mark, lambda: field) if survey is not None else None
+    volume = Box.read(box) if box is not None else None
+    looked = _looked(path, survey, progress)
+    told = bake(looked, volume or looked.field.domain.world_box(), settings, refine, size)
+    return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}
+
+
+def _looked(path: Path, kept: Path | None, progress: Progress) -> Survey:
+    """The survey of a field: the one that is kept, or a new one, which then is."""
+    from .study.kept_survey import check_survey, read_survey, stamp, write_survey
+    from .study.survey import survey
+
+    if kept is not None:
+        check_survey(kept)
+    mark, field = stamp(path), any_field(path)
+    looked = read_survey(kept, mark, lambda: field) if kept is not None else None
     if looked is None:
         progress(0.1, "Looking at the field")
-        looked = look(field)
-        if survey is not None:
-            write_survey(survey, looked, mark)
-    told = bake(looked, volume, settings, refine, size)
-    return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}
+        looked = survey(field)
+        if kept is not None:
+            write_survey(kept, looked, mark)
+    return looked

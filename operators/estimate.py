@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import bpy
@@ -26,12 +27,12 @@ class SNERG_OT_estimate(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`estimate` of the command line, whose look at the field stays in the project for the panel."""
-        project.survey.unlink(missing_ok=True)  # the machine may have been busy when it was made
+        with suppress(OSError):  # where it cannot be removed, the old look serves
+            project.survey.unlink()  # the machine may have been busy when it was made
         width, height = resolution(context.scene)
         size = ["--width", str(width), "--height", str(height), "--survey", str(project.survey)]
         return start_verb(["estimate", str(project.field), *size, *baking_arguments(context, project)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Say it; the panel goes on from what was found."""
-        seconds = result["bake_seconds"] + result["seconds"].get("refine", 0.0)
-        return "A bake takes " + ", ".join(told(seconds, result["peak_megabytes"], result["megabytes"], result["preview"]))
+        return "A bake takes " + ", ".join(told(result))

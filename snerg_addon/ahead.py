@@ -13,8 +13,7 @@ from ..core.field.checkpoint import read_field
 from ..core.grid.bake import BakeSettings
 from ..core.grid.box import Box
 from ..core.study.estimate import estimate
-from ..core.study.kept_survey import read_survey
-from ..core.study.kept_survey import stamp as mark
+from ..core.study.kept_survey import read_survey, stamp
 from ..core.study.survey import Survey
 from .bridge import box_from_blender, resolution
 from .project import Project, project_of
@@ -27,17 +26,17 @@ _told: dict[str, list[str]] = {}
 def survey_of(project: Project) -> Survey | None:
     """What is known of the project's field; None where it was not looked at since it was written. Read again when a file changed."""
     try:
-        stamp = (project.survey.stat().st_mtime_ns, (project.field / "field.npz").stat().st_mtime_ns)
+        written = (project.survey.stat().st_mtime_ns, (project.field / "field.npz").stat().st_mtime_ns)
     except OSError:
         return None
     known = _surveys.get(project.survey)
-    if known is None or known[0] != stamp:
+    if known is None or known[0] != written:
         try:
-            found = read_survey(project.survey, mark(project.field), lambda: read_field(project.field))
+            found = read_survey(project.survey, stamp(project.field), lambda: read_field(project.field))
         except (SnergError, OSError):
             found = None
         _told.clear()
-        known = _surveys[project.survey] = (stamp, found)
+        known = _surveys[project.survey] = (written, found)
     return known[1]
 
 
@@ -62,12 +61,13 @@ def _lines(survey: Survey, box: Box, settings: BakeSettings, refine: bool, size:
         found = estimate(survey, box, settings, refine, size)
         if len(_told) > KEPT:
             _told.clear()
-        _told[key] = told(found.bake + found.seconds.get("refine", 0.0), found.peak_megabytes, found.megabytes, found.preview)
+        _told[key] = told(found.to_json())
     return _told[key]
 
 
-def told(seconds: float, peak_megabytes: Any, megabytes: Any, preview: float) -> list[str]:
-    """An estimate for people, rounded to what it is worth."""
+def told(value: dict[str, Any]) -> list[str]:
+    """An estimate (`Estimate.to_json`) for people, rounded to what it is worth."""
+    seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
     time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
-    memory = f"{peak_megabytes / 1000:.1f} GB of memory"
-    return [f"about {time}, {memory}", f"{megabytes:.0f} MB as PNG, {preview:.2g} s a preview"]
+    memory = f"{value['peak_megabytes'] / 1000:.1f} GB of memory"
+    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {value['preview']:.2g} s a preview"]

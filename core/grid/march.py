@@ -221,8 +221,7 @@ def _march(
     supply = Supply(make, _shares(0, count, bundled), settings.threads)
 
     def work(cancelled: Callable[[], bool]) -> None:
-        walk = Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None)
-        walk.run(cancelled)
+        Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
 
     _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins

@@ -52,9 +52,10 @@ class Walk:
         skip: bool = True,
         visited: np.ndarray | None = None,
         residual: Residual | None = None,
+        cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
         self.tables, self.supply, self.into, self.batch = tables, supply, into, batch
-        self.stop, self.skip, self.visited, self.residual = np.float32(stop), skip, visited, residual
+        self.stop, self.skip, self.visited, self.residual, self.cancelled = np.float32(stop), skip, visited, residual, cancelled
         self.interpolate = Interpolate(tables)
         self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
         self.samples = 0
@@ -65,11 +66,10 @@ class Walk:
         self.index, self.moving, self.light, self.values = rays.index, rays.moving, rays.light, rays.values
         self.alive = np.ones(len(self.index), bool)
 
-    def run(self, cancelled: Callable[[], bool] = lambda: False) -> None:
+    def run(self) -> None:
         """March all that there is; returns early when `cancelled` says so."""
-        self.cancelled = cancelled
         self.pack()
-        while len(self.index) and not cancelled():
+        while len(self.index) and not self.cancelled():
             self.advance()
             np.less(self.moving[6], self.moving[7], out=self.alive)
             self.alive &= self.light > self.stop

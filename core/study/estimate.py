@@ -94,17 +94,18 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     channels = 8 if settings.network and field.network is not None else 4
     cells = blocks * CELL_VOXELS**3 * channels * (1 if settings.quantise else 4)
     finer = survey.pilot / lattice.voxel_size
+    ray = rates.ray * slower(rates.met, rates.growth, finer)
     coded = kept * rates.bytes * finer**-ALIKE * channels / (8 if field.network is not None else 4)
     looked = volume * int((survey.inside & inside).sum())
     samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / lattice.voxel_size)).argmin())]
     seconds = _seconds(survey, lattice, settings, looked, kept, samples)
     if refine and channels == 8 and field.dataset:
-        seconds["refine"] = FIT + rates.view * len(field.cameras) + rates.ray * slower(rates.met, rates.growth, finer) * REFINED
+        seconds["refine"] = FIT + rates.view * len(field.cameras) + ray * REFINED
     return Estimate(
         seconds,
         (PROCESS + HELD * cells) / 1e6,
         (coded if settings.quantise else cells) / 1e6,
-        rates.view + CLOSER * size[0] * size[1] * rates.ray * slower(rates.met, rates.growth, finer),
+        rates.view + CLOSER * size[0] * size[1] * ray,
         blocks * rates.table,
         int(looked),
         int(held),
@@ -123,22 +124,26 @@ def _seconds(survey: Survey, lattice: Lattice, settings: BakeSettings, looked: f
     """Of the stages of a bake.
 
     start: compiling takes as long as it did. occupancy: BEGUN; a voxel of a block that meets an occupied cell is tested, one in an
-    occupied cell is asked for. visibility: cameras take as long each as in the small bake, rays
-    but for their samples. samples: where they are
-    chosen, all rays are tried with each number up to twice the chosen one. prefilter: kept voxels, and samples of them,
-    times BESIDE.
+    occupied cell is asked for. visibility: see `_looking`. samples: where they are chosen, all rays are tried with each number up to
+    twice the chosen one. prefilter: kept voxels, and samples of them, times BESIDE.
     """
-    rates, cameras = survey.rates, len(survey.field.cameras)
-    finer = survey.pilot / lattice.halved().voxel_size  # what is seen is found out on half of the resolution
-    looking = rates.eye * cameras + rates.look * slower(rates.seen_met, rates.seen_growth, finer) * rays_of(survey.field, lattice)
+    rates = survey.rates
     tried = RAYS * LENGTH * (FINER + 8 * (min(4 * samples, 2 * MOST) - 1)) if settings.samples == AUTO else 0
     return {
         "start": rates.start,
         "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, lattice).sum()) * DATA_VOXELS**3 + rates.query * looked,
-        "visibility": looking if settings.visibility and cameras else 0.0,
+        "visibility": _looking(survey, lattice) if settings.visibility else 0.0,
         "samples": rates.fill * tried,
         "prefilter": BESIDE * kept * (rates.keep + samples * rates.fill),
     }
+
+
+def _looking(survey: Survey, lattice: Lattice) -> float:
+    """Of finding out, on half of the resolution, what the cameras see: each of them, and its rays but for their samples, takes as long
+    as in the small bake."""
+    rates, finer = survey.rates, survey.pilot / lattice.halved().voxel_size
+    look = rates.look * slower(rates.seen_met, rates.seen_growth, finer)
+    return rates.eye * len(survey.field.cameras) + look * rays_of(survey.field, lattice)
 
 
 def _points(survey: Survey, table: np.ndarray, inside: np.ndarray, voxel: float) -> float:

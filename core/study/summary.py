@@ -63,8 +63,8 @@ def difference(row: Row, usual: Row) -> tuple[float, float]:
 
 
 def predictions(rows: Sequence[Row]) -> list[tuple[str, Row, float, float]]:
-    """(what, row, said, was) of every number that was predicted; what a bake and its refining took is said
-    once a bake."""
+    """(what, row, said, was) of every number that was predicted; what a bake and its refining took is said once
+    a bake."""
     found: list[tuple[str, Row, float, float]] = []
     done: set[tuple[str, str]] = set()
     for row in rows:

@@ -20,8 +20,6 @@ from snerg.core.grid.tolerance import excess, steepness, stop_for
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
 ROUNDING = 2e-5  # of single precision, amplified by the network
-
-
 LENSES = (Distortion("opencv", (-0.25, 0.06, 0.002, -0.003)), Distortion("fisheye", (0.05, -0.02, 0.004, 0.0)))
 
 
@@ -103,7 +101,7 @@ def test_a_ray_does_not_depend_on_its_batch():
 def test_many_rays_are_what_their_parts_are():
     """More than are made at a time, and than one walk takes; and the samples of all are counted."""
     snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
-    camera = replace(make_cameras(CENTRE)[0].resized(240, 200))
+    camera = make_cameras(CENTRE)[0].resized(240, 200)
     rays = camera.rays(tiled(240, 200))
     whole = march_rays(snerg, *rays)
     parts = [march_rays(snerg, *(values[start : start + 6400] for values in rays)) for start in range(0, len(rays[0]), 6400)]
