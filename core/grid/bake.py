@@ -29,7 +29,7 @@ from .snerg import Snerg
 from .visibility import visible_voxels
 
 AUTO = 0  # samples: as many as are worth their time
-VERSION = 1  # of what a bake keeps for going on later
+VERSION = 2  # of what a bake keeps for going on later
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,9 @@ def bake(
     indirection = number(reach(matter.bits, matter.indirection))
     bits = grow(renumbered(matter.bits, matter.indirection, indirection), indirection)
     voxels: dict[str, int | None] = {"held": int(counts(bits).sum()), "seen": None}
+    light = None
     if cameras and settings.visibility and len(bits):
-        seen = visible_voxels(matter, lattice, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
+        seen, light = visible_voxels(matter, lattice, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
         bits &= renumbered(seen, matter.indirection, indirection)
         voxels["seen"] = int(counts(bits).sum())
     clock.lap("visibility")
@@ -127,6 +128,8 @@ def bake(
         "samples": samples,
         "opacity_lost_at_most": round(matter.lost, 4),
     }
+    if light is not None:
+        about["light"] = light.to_json()
     if evidence is not None:
         about["samples_measured"] = evidence
     if not len(cells):

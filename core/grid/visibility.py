@@ -8,7 +8,9 @@ seen than not.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -19,22 +21,44 @@ from .blocks import SLAB, fill_aprons, grow, number, pack, places_of, unpack
 from .box import CELL_VOXELS, DATA_VOXELS
 from .kept import Kept
 from .lattice import Lattice
-from .march import MarchSettings, march_rays, tiled
+from .march import Composited, MarchSettings, march_rays, tiled
 from .occupancy import Matter
 from .snerg import Snerg
 
 HALF = DATA_VOXELS // 2
+MET = 0.99  # a ray that keeps less of its light has met something
+
+
+@dataclass(frozen=True)
+class Light:
+    """What became of the light of the cameras' rays. met: rays that met something; left: the sum of what passed them; samples: that
+    they took."""
+
+    met: float = 0.0
+    left: float = 0.0
+    samples: float = 0.0
+
+    def and_of(self, rays: Composited) -> Light:
+        """With more rays."""
+        met = rays.transmittance < MET
+        return Light(self.met + met.sum(), self.left + rays.transmittance[met].sum(dtype=np.float64), self.samples + (rays.samples or 0))
+
+    def to_json(self) -> dict[str, Any]:
+        """{"rays": that met something, "passes": the share of their light that passes it, "voxels": on the way of one there, about}."""
+        rays = max(self.met, 1.0)
+        return {"rays": round(self.met), "passes": round(self.left / rays, 4), "voxels": round(2 * self.samples / rays, 1)}
 
 
 def visible_voxels(
     matter: Matter, lattice: Lattice, ndc: Ndc | None, cameras: Sequence[Camera], threshold: float, kept: Kept, progress: Progress
-) -> np.ndarray:
+) -> tuple[np.ndarray, Light]:
     """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them."""
     scene = opacity_scene(matter, lattice.halved(), ndc)
-    visited, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), 0
+    visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
     for done, arrays in kept.read("visibility"):
         if done > first:
-            first, visited = done, np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
+            first, light = done, Light(*arrays["light"].tolist())
+            visited = np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
     settings = MarchSettings(stop_transmittance=threshold)
     for index in range(first, len(cameras)):
         camera, what = cameras[index], f"Visibility: camera {index + 1} of {len(cameras)}"
@@ -44,13 +68,13 @@ def visible_voxels(
 
         coarse = marching_camera(camera, scene)
         origins, directions = coarse.rays(tiled(coarse.width, coarse.height))
-        march_rays(scene, origins, directions, settings, tell, camera.near, visited)
+        light = light.and_of(march_rays(scene, origins, directions, settings, tell, camera.near, visited))
         tell(1.0, "")
         if kept.due or index + 1 == len(cameras):
-            kept.add("visibility", index + 1, {"visited": np.packbits(visited)})
+            kept.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(light))})
             kept.flush()
     own = visited.reshape(-1, *(CELL_VOXELS,) * 3)[:, 1:-1, 1:-1, 1:-1]
-    return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection)
+    return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection), light
 
 
 def opacity_scene(matter: Matter, lattice: Lattice, ndc: Ndc | None) -> Snerg:

@@ -29,8 +29,9 @@ from ..progress import Progress, silent
 
 UNKNOWN = "not measured yet"
 VIEW, ALPHA, BACKDROP, NDC = "View dependence", "Alpha", "Backdrop", "NDC"  # as training calls them
-FILL, CULL, SAMPLES, REFINE = "Equation 9", "Visibility culling", "Samples a voxel", "Refining"
+CLEAR, FILL, CULL, SAMPLES, REFINE = "Transparency", "Equation 9", "Visibility culling", "Samples a voxel", "Refining"
 CODEC, LENS, INTRINSICS = "Lossy codec", "Distortion", "Several intrinsics"
+PASSES = 0.1  # of the light that meets something, from which what passes it is more than what passes its outlines
 WORTH = {  # what an effect costs, and what leaving it out saves, where nothing better is known
     VIEW: (
         "4 features beside a voxel's 4 other bytes, and a small network once a pixel.",
@@ -44,6 +45,10 @@ WORTH = {  # what an effect costs, and what leaving it out saves, where nothing 
     NDC: ("Bending each ray once, and each pixel's depth back.", "That; but far and near then share voxels of one size."),
     "Hierarchical sampling": ("A second network, and its samples in each step.", "Both; thin things may then fall between samples."),
     "Disparity": ("Nothing: the same samples stand elsewhere.", "Nothing."),
+    CLEAR: (
+        "Samples and voxels behind what light passes through.",
+        "Both: a ray ends with its light, and what no light reaches is culled.",
+    ),
     FILL: ("A multiplication a pixel.", "That; light that baking lets through surfaces then stays."),
     CULL: ("A march from every training camera.", "That; but what no camera sees stays in the files and in memory."),
     SAMPLES: (
@@ -125,6 +130,7 @@ def of_scene(snerg: Snerg, codec: CodecSettings | None = None) -> list[Effect]:
     return [
         _view_of(snerg, view),
         *_rows([*images, ndc, _fill(snerg.fill_holes)]),
+        _clear_of(snerg),
         _cull_of(snerg),
         _samples_of(snerg),
         _refine_of(snerg),
@@ -196,10 +202,11 @@ def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:
     sees = f"The bake marches from the {cameras} training cameras and counts what none of them sees."
     blind = Decision(CULL, False, "There are no cameras to see anything.")
     cull = unknown(CULL, sees, BakeSettings().visibility_threshold) if cameras else blind
+    clear = unknown(CLEAR, f"{sees[:-1]}, and what light passes." if cameras else "There are no cameras to measure it from.", PASSES)
     gain = "The bake doubles them as long as short rays through its voxels come nearer to the field by more than the threshold."
     fit = unknown(REFINE, "Refining keeps the network that is better on a tenth of its pixels.", 0.0)
     diffuse = Decision(REFINE, False, "The field is diffuse: there is no network to refine.")
-    return [cull, unknown(SAMPLES, gain, GAIN), fit if view_dependent else diffuse, unknown(CODEC, _CODEC)]
+    return [clear, cull, unknown(SAMPLES, gain, GAIN), fit if view_dependent else diffuse, unknown(CODEC, _CODEC)]
 
 
 _CODEC = "Nothing is lost unless --codec says so; 'snerg eval' of a scene stored each way tells what it costs."
@@ -219,6 +226,17 @@ def _view_of(snerg: Snerg, decision: Decision) -> Effect:
         f"{_megabytes(snerg.cells.nbytes // 2)} of memory for features, and a network once a pixel.",
         f"Half of {_megabytes(snerg.cells.nbytes)} of memory, the feature pictures, and the network in the page.",
     )
+
+
+def _clear_of(snerg: Snerg) -> Effect:
+    light = snerg.about.get("bake", {}).get("light")
+    if not light:
+        return Effect(
+            unknown(CLEAR, "The scene does not say what becomes of light in it: its bake marched from no cameras.", PASSES), *WORTH[CLEAR]
+        )
+    evidence = f"{100 * light['passes']:.0f} % of the light that meets something passes it (outlines let some pass as well; from "
+    evidence += f"{100 * PASSES:.0f} % on, it is more), and the rest ends within about {light['voxels']:.0f} voxels."
+    return Effect(Decision(CLEAR, light["passes"] >= PASSES, evidence, light["passes"], PASSES), *WORTH[CLEAR])
 
 
 def _cull_of(snerg: Snerg) -> Effect:

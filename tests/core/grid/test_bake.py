@@ -9,14 +9,16 @@ from scenes import looking, make_dataset, random_network
 from snerg.core.capture.camera import Camera
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.capture.ndc import Ndc
+from snerg.core.describe import folder_bytes
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.export.scene import write_scene
 from snerg.core.field.field import Field
 from snerg.core.field.networks import HashFamily, ViewNetwork, view_residual
 from snerg.core.field.sampling import Domain
 from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.grid.box import Box
 from snerg.core.grid.lattice import Lattice
-from snerg.core.grid.march import march
+from snerg.core.grid.march import march, march_rays
 from snerg.core.grid.refine import RefineSettings, gather, refine
 
 
@@ -403,6 +405,21 @@ def test_what_is_left_out_for_comparison():
     assert exact.cells.dtype == np.float32 and np.abs(exact.cells - plain.cells / np.float32(255)).max() < 1.01 / 255
     diffuse = bake(ball, BOX, cameras, BakeSettings(40, samples=2, network=False))
     assert diffuse.network is None and np.array_equal(diffuse.cells, plain.cells[..., [0, 1, 2, 7]])
+
+
+def test_files_memory_and_time_follow_the_light(tmp_path):
+    """A ray ends with its light: an opaque scene takes few samples and stores a shell; the same shape as fog takes and stores all of it."""
+    cameras = tuple(camera_at(eye) for eye in ((4, 0, 0.5), (-4, 0, 0.5), (0, 4, 0), (0, -4, 0), (0.1, 0, 4), (0.1, 0, -4)))
+    solid, fog = (bake(Ball(0.9, d), BOX, cameras, BakeSettings(160, samples=1)) for d in (4000.0, 0.5))
+    clear, hard = fog.about["bake"]["light"], solid.about["bake"]["light"]
+    assert hard["passes"] < 0.1 < 0.3 < clear["passes"] and hard["rays"] == pytest.approx(clear["rays"], rel=0.15)
+    assert hard["voxels"] < 16 and clear["voxels"] > 40
+    origins, directions = cameras[0].rays()
+    samples = [march_rays(snerg, origins, directions).samples for snerg in (solid, fog)]
+    assert 4 * samples[0] < samples[1]
+    for name, snerg in (("solid", solid), ("fog", fog)):
+        write_scene(snerg, tmp_path / name)
+    assert 2 * folder_bytes(tmp_path / "solid") < folder_bytes(tmp_path / "fog") and len(solid.cells) < len(fog.cells)
 
 
 @pytest.mark.hard_case(47, 59)

@@ -47,6 +47,7 @@ def baked(snerg: Snerg, seen: int | None = 60, **about: object) -> Snerg:
         "settings": {"visibility_threshold": 0.01},
         "seconds": {"occupancy": 1.0, "visibility": 2.0, "prefilter": 4.0},
         "voxels": {"held": 80, "seen": seen},
+        "light": {"rays": 1000, "passes": 0.04, "voxels": 9.6},
         "samples": 2,
         "samples_measured": [{"samples": n, "error": e} for n, e in ((1, 0.02), (2, 0.01), (4, 0.0099))],
     }
@@ -60,7 +61,7 @@ def test_a_capture_is_asked_what_training_asks(dataset):
     assert found["Alpha"] == transparency("auto", pool.pixels, pool.alpha) and found["Alpha"].chosen
     for name in ("Backdrop", "NDC", "Equation 9", "Distortion", "Several intrinsics"):
         assert found[name].chosen is False, name
-    for name in ("View dependence", "Visibility culling", "Samples a voxel", "Refining", "Lossy codec"):
+    for name in ("View dependence", "Transparency", "Visibility culling", "Samples a voxel", "Refining", "Lossy codec"):
         assert found[name].chosen == UNKNOWN and found[name].measured is None, name
 
 
@@ -120,6 +121,8 @@ def test_a_scene_says_what_its_bake_measured():
     effects = {e.decision.effect: e for e in of_scene(baked(make_snerg((31, 30, 33)), refine=refined, trained=trained))}
     cull, samples, refine = effects["Visibility culling"], effects["Samples a voxel"], effects["Refining"]
     assert cull.decision.measured == pytest.approx(0.25) and cull.costs.startswith("2.0 seconds") and "1.3 times" in cull.saves
+    clear = effects["Transparency"].decision
+    assert clear.chosen is False and clear.measured == 0.04 and "4 % of the light" in clear.evidence and "10 voxels" in clear.evidence
     assert samples.decision.chosen == "2" and samples.decision.measured == pytest.approx(0.01) and "2.0 of them" in samples.saves
     assert refine.decision.measured == 0.5 and refine.costs.startswith("5.0 seconds")
     assert effects["View dependence"].decision.measured == 1.0 and "It gains." in effects["View dependence"].decision.evidence
@@ -129,7 +132,7 @@ def test_a_scene_says_what_its_bake_measured():
 
 def test_a_scene_that_says_nothing_of_its_bake():
     found = by_name(of_scene(make_snerg((31, 30, 33))))
-    assert found["Visibility culling"].chosen == found["Samples a voxel"].chosen == UNKNOWN
+    assert found["Visibility culling"].chosen == found["Samples a voxel"].chosen == found["Transparency"].chosen == UNKNOWN
 
 
 def test_the_verb_prints_a_table(dataset, tmp_path, capsys):
