@@ -14,7 +14,7 @@ import numpy as np
 from ..core.capture.camera import Camera
 from ..core.errors import Cancelled, SnergError
 from ..core.export.scene import read_scene
-from ..core.grid.march import Frame, MarchSettings, progressive
+from ..core.grid.march import INVISIBLE, Frame, MarchSettings, progressive
 from ..core.grid.snerg import Snerg
 from ..core.jobs.runner import State, outcome
 from ..snerg_addon.activity import Work
@@ -22,8 +22,6 @@ from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project
 from .job_runner import LongVerb, redraw
-
-INVISIBLE = 0.5 / 255  # half a level of the picture's 8 bits
 
 
 class SNERG_OT_preview(LongVerb, bpy.types.Operator):

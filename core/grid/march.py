@@ -32,6 +32,7 @@ SHARE = 16384
 STACK = 128
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
 TICK_SECONDS = 0.03  # between two calls of `progress`
+INVISIBLE = 0.5 / 255  # a tolerance: half a level of a picture of 8 bits
 FIRST = 4  # how many times smaller, each way, the first picture is
 
 
