@@ -1,4 +1,4 @@
-"""Losses of training (eqs. 3 and 8), and what stands behind the images."""
+"""Losses of training (eqs. 3 and 8, and one of ours), and what stands behind the images."""
 
 from __future__ import annotations
 
@@ -18,6 +18,16 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
     small = xnp.where(large, 1.0, density)  # the branch not taken must have a finite gradient too
     big = xnp.where(large, density, 1.0)
     return xnp.where(large, 2 * xnp.log(big) - math.log(c), xnp.log1p(small * small / c))
+
+
+def softness(weights: Any) -> Any:
+    """w (1 - w), elementwise, of the weights with which samples are composited: over a ray, 0 where one sample takes all its light, or
+    none any, and near the ray's opacity where many share it.
+
+    Ours, in the manner of priors for hard surfaces. Its slope is at most 1 where that of the squared error grows with the error, so that
+    fog, which images call for, stays: what it decides is what they leave open, how far light goes into what ends it.
+    """
+    return weights * (1 - weights)
 
 
 def plain_colour(name: str) -> np.ndarray | None:

@@ -15,7 +15,7 @@ from ..errors import SnergError
 from .ends import DARK, LEFT, RayEnds
 from .field import in_chunks
 from .held_out import Rays, packed_colours
-from .losses import backgrounds, cauchy, over
+from .losses import backgrounds, cauchy, over, softness
 from .networks import density_of, field_inputs, field_outputs, raw_outputs
 from .pixels import PixelPool
 from .sampling import Domain, Occupancy, pack_samples
@@ -158,7 +158,7 @@ class PackedScheme:
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Squared error (eq. 3), sparsity (eq. 8) and alpha.
+    """Squared error (eq. 3), sparsity (eq. 8), alpha, and how soft surfaces are.
 
     Also told, all sums over samples: "error", the squared error alone; "lit" [R], how many of a ray's samples light still
     reaches; "depth" [R], the optical depth of a ray.
@@ -168,13 +168,15 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
     density = density_of(jnp, settings.family, raw + batch["noise"] if "noise" in batch else raw)
     values = sample_values(jnp, view, settings.family, params, values, directions[ray])
     depth = optical_depth(jnp, jnp.where(batch["valid"], density, 0), batch["length"])
-    gathered, through, _ = composite(jnp, depth, values, ray, len(directions))
+    gathered, through, weights = composite(jnp, depth, values, ray, len(directions))
     background = batch.get("background", 1.0)
     colour = ray_colour(jnp, view, params, gathered, through, directions, background)
     wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, background)
     used = (batch["used"] & ~(batch["cut"] & (through > LEFT))).astype(jnp.float32)
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / batch["rays"]
     loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / batch["count"]
+    if settings.hardness:
+        loss = loss + settings.hardness * softness(weights).sum() / batch["rays"]
     if has_alpha:
         loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / batch["rays"]
     lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))

@@ -31,6 +31,7 @@ from snerg.core.field.sampling import Domain, hull
 from snerg.core.field.settings import TrainSettings
 from snerg.core.field.train import Trainer, decibels, train
 from snerg.core.field.trust import cause
+from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.study.metrics import psnr
 
 FAMILY = HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
@@ -74,6 +75,19 @@ def test_it_learns_what_it_never_saw(trained, views, dataset):
     scores = [psnr(render_field(field, held.cameras[i]).over(), truth(held, i)) for i in range(3)]
     blank = [psnr(np.ones_like(truth(held, i)), truth(held, i)) for i in range(3)]
     assert min(scores) > 21 and min(np.subtract(scores, blank)) > 9
+
+
+@pytest.mark.slow
+def test_the_loss_for_hard_surfaces_makes_light_end_sooner(views, tmp_path):
+    """Ten times the usual weight, so that hundreds of steps show what thousands do: fewer voxels on a ray's way, and fewer kept."""
+    settings = replace(SETTINGS, steps=600)
+    told = []
+    for hardness in (0.0, 5e-3):
+        field = train(views, replace(settings, hardness=hardness), tmp_path / f"{hardness}")
+        told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, samples=1)).about["bake"])
+    soft, hard = told
+    assert hard["light"]["voxels"] < 0.8 * soft["light"]["voxels"] and hard["light"]["passes"] < soft["light"]["passes"]
+    assert hard["voxels"]["seen"] < 0.8 * soft["voxels"]["seen"]
 
 
 def test_a_field_comes_back_from_disk_as_it_was(trained, views):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snerg.core.field.losses import cauchy
+from snerg.core.field.losses import cauchy, softness
 from snerg.core.field.networks import HashFamily, MlpFamily, bounded_exp, density_of, sigmoid
 from snerg.core.field.volume import composite, composite_rows, depth_before, mean_distance, opacity, optical_depth
 
@@ -73,6 +73,21 @@ def test_cauchy_loss_against_float64(density):
     exact = np.float64(np.float32(density))
     assert value == pytest.approx(np.log1p(exact**2 / 0.5), rel=1e-6)
     assert slope == pytest.approx(2 * exact / 0.5 / (1 + exact**2 / 0.5), rel=1e-5)
+
+
+@pytest.mark.hard_case(20)
+@pytest.mark.parametrize("depth", [0.0, 1e-30, 1e-3, 3.0, 80.0])
+def test_softness_is_none_of_a_surface_and_all_of_fog(depth):
+    """64 samples that together have such an optical depth, thin and then all of it in one; with a gradient that is finite."""
+
+    def soft(depths):
+        return softness(composite(jnp, depths, jnp.ones((64, 1)), jnp.zeros(64, int), 1)[2]).sum()
+
+    alpha = -np.expm1(-depth)
+    thin, slope = jax.value_and_grad(soft)(jnp.full(64, depth / 64, jnp.float32))
+    hard, steep = jax.value_and_grad(soft)(jnp.zeros(64).at[20].set(depth))
+    assert hard == pytest.approx(alpha * (1 - alpha), abs=1e-6) and hard <= thin + 1e-7 <= alpha + 2e-6
+    assert np.isfinite(slope).all() and np.isfinite(steep).all()
 
 
 @pytest.mark.hard_case(25)
