@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from ..files import json_bytes
 from ..progress import Progress, silent, within
 from .blocks import counts, grow, number, reach, renumbered
 from .box import Box
+from .holes import hole_errors
 from .kept import Kept
 from .lattice import FINEST, Lattice
 from .memory import check_fits
@@ -38,7 +39,7 @@ class BakeSettings:
     samples: points averaged in a voxel, Gaussian with a standard deviation of voxel / sqrt(12); 0: as many as measuring shows to be
     worth their time. alpha_threshold: blocks along no row of which so much opacity adds up are culled; visibility_threshold:
     voxels that no camera sees with at least this transmittance are culled (section 5.3). seed: of the jitter. fill_holes:
-    see Snerg; None: in forward-facing scenes, as in the paper (supplement C.3).
+    see Snerg; None: in forward-facing scenes, as in the paper (supplement C.3), whose rays come nearer to the field's with it.
 
     For comparison (table 1 of the paper): visibility False keeps what no camera sees; quantise False keeps float32;
     network False leaves out view dependence and its features.
@@ -134,17 +135,34 @@ def bake(
         about["samples_measured"] = evidence
     if not len(cells):
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
-    return Snerg(
-        lattice.grid_to_world,
-        lattice.voxel_size,
-        lattice.shape,
-        indirection,
-        cells,
-        field.network if channels == 8 else None,
-        about={"bake": about},
-        ndc=field.ndc,
-        fill_holes=settings.fill_holes if settings.fill_holes is not None else field.ndc is not None,
+    return with_holes(
+        Snerg(
+            lattice.grid_to_world,
+            lattice.voxel_size,
+            lattice.shape,
+            indirection,
+            cells,
+            field.network if channels == 8 else None,
+            about={"bake": about},
+            ndc=field.ndc,
+        ),
+        field,
+        cameras,
+        settings,
     )
+
+
+def with_holes(snerg: Snerg, field: Field, cameras: Sequence[Camera], settings: BakeSettings) -> Snerg:
+    """The scene with equation 9 where the settings say so, or, in a forward-facing one, where its rays come nearer to the field's with it
+    (or there are none)."""
+    fills = settings.fill_holes
+    if fills is None and snerg.ndc is not None and cameras and len(snerg.cells):
+        errors = hole_errors(field, snerg, cameras, settings.seed)
+        snerg.about["bake"]["holes"] = errors
+        fills = errors["with"] < errors["without"]
+    if fills is None:
+        fills = snerg.ndc is not None
+    return replace(snerg, fill_holes=True) if fills else snerg
 
 
 def check_lengths(settings: BakeSettings, field: Field) -> None:

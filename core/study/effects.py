@@ -129,7 +129,7 @@ def of_scene(snerg: Snerg, codec: CodecSettings | None = None) -> list[Effect]:
     images = [told[name] for name in (ALPHA, BACKDROP) if name in told]
     return [
         _view_of(snerg, view),
-        *_rows([*images, ndc, _fill(snerg.fill_holes)]),
+        *_rows([*images, ndc, _fill_of(snerg)]),
         _clear_of(snerg),
         _cull_of(snerg),
         _samples_of(snerg),
@@ -193,8 +193,21 @@ def intrinsics(cameras: Sequence[Camera]) -> Decision:
 
 
 def _fill(forward: bool) -> Decision:
-    where = "lies in device coordinates" if forward else "is not forward-facing"
-    return Decision(FILL, forward, f"The scene {where}; as in the paper, it is for forward-facing scenes (supplement C.3).")
+    if forward:
+        return unknown(FILL, "The bake takes it where rays of the training cameras come nearer to the field's with it.")
+    return Decision(FILL, False, "The scene is not forward-facing; as in the paper, it is for scenes that are (supplement C.3).")
+
+
+def _fill_of(snerg: Snerg) -> Decision:
+    bake = snerg.about.get("bake", {})
+    if errors := bake.get("holes"):
+        evidence = f"Rays of the cameras are {errors['with']:.3f} away from the field's with it, {errors['without']:.3f} without it."
+        return Decision(FILL, snerg.fill_holes, evidence, errors["with"], errors["without"])
+    if not snerg.fill_holes and snerg.ndc is None:
+        return _fill(False)
+    told = bake.get("settings", {}).get("fill_holes") is not None
+    why = "Its bake was told so." if told else "There were no rays to measure with; it is for forward-facing scenes (supplement C.3)."
+    return Decision(FILL, snerg.fill_holes, why, overridden=told)
 
 
 def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:

@@ -136,3 +136,32 @@ def test_near_is_of_the_world(planes):
     _, snerg, cameras = planes
     frame = march(replace(snerg, near=3 * FRAME.near), cameras[0])
     assert frame.depth[np.isfinite(frame.depth)].min() > 5 * FRAME.near
+
+
+@dataclass(frozen=True, eq=False)
+class Veil(Field):
+    """A sheet across the view, in device coordinates: `thickness`, and density on [-1, 1]."""
+
+    thickness: float = 0.01
+    density: float = 3000.0
+
+    def evaluate(self, x):
+        inside = np.abs(x[:, 2] - 1 / 64) < self.thickness / 2  # about the centres of voxels, where a bake looks
+        return np.where(inside, self.density, 0).astype(np.float32), np.full((len(x), 3), [0.2, 0.5, 0.7], np.float32)
+
+
+@pytest.mark.hard_case(53)
+@pytest.mark.parametrize(("thickness", "density", "wanted"), [(0.012, 3000.0, True), (0.5, 1.5, False)], ids=["a thin wall", "fog"])
+def test_equation_9_is_taken_where_it_brings_rays_nearer_to_the_field(thickness, density, wanted):
+    """A wall a third of a voxel thick lets light through once it is baked; fog lets it through as it should."""
+    domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
+    field = Veil(HashFamily(), {}, None, domain, None, 2 / 512, ndc=FRAME, thickness=thickness, density=density)
+    box, cameras = field.domain.world_box(), make_forward_cameras(FRAME)[:2]
+    snerg = bake(field, box, cameras, BakeSettings(64, samples=8))
+    errors = snerg.about["bake"]["holes"]
+    assert snerg.fill_holes is wanted and (errors["with"] < errors["without"]) is wanted
+    truth = render_field(field, cameras[0]).over()
+    distance = {fill: np.abs(march(replace(snerg, fill_holes=fill), cameras[0]).over() - truth).mean() for fill in (True, False)}
+    assert distance[wanted] < 0.7 * distance[not wanted]
+    assert bake(field, box, (), BakeSettings(64, samples=8)).fill_holes  # without cameras, as in the paper
+    assert bake(field, box, cameras, BakeSettings(64, samples=8, fill_holes=not wanted)).fill_holes is not wanted
