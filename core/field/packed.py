@@ -176,7 +176,7 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / batch["rays"]
     loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / batch["count"]
     if settings.hardness:
-        loss = loss + settings.hardness * softness(weights).sum() / batch["rays"]
+        loss = loss + settings.hardness * (softness(weights) * used[ray]).sum() / batch["rays"]
     if has_alpha:
         loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / batch["rays"]
     lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))

@@ -37,20 +37,21 @@ def render_field(field: Field, camera: Camera, progress: Progress = silent) -> F
 
 
 def integrate(
-    field: Field, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, looking: np.ndarray
+    field: Field, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, looking: np.ndarray, far: np.ndarray | float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Composite what a field holds along rays [R, 3] of its coordinates that look along `looking` [R, 3] in the world, a stretch after
-    another, as far as light reaches.
+    another, from `near` [R] as far as light reaches, or `far` [R].
 
     Returns values [R, C + 1], the last of them distance, and transmittance [R].
     """
     occupied = field.occupancy if field.occupancy is not None else np.ones(CELLS**3, bool)
     begin, leave = clip_rays(field.domain, origins, directions, near)
+    leave = np.minimum(leave, far)
     live, stretch = np.flatnonzero(leave > begin), STRETCH * field.spacing
     gathered, through = np.zeros((len(origins), 0), np.float32), np.ones(len(origins), np.float32)
     while len(live) or not gathered.shape[1]:  # once for no rays too, so that there are values
         end, middle = begin[live] + stretch, np.full(len(live), 0.5)
-        got = pack_samples(field.domain, occupied, origins[live], directions[live], field.spacing, middle, begin[live], until=end)
+        got = pack_samples(field.domain, occupied, origins[live], directions[live], field.spacing, middle, begin[live], leave[live], end)
         density, values = field.seen(got.points, looking[live[got.ray]])
         values = np.concatenate([values, got.distance[:, None]], axis=-1)
         part, passed, _ = composite(np, optical_depth(np, density, np.float32(field.spacing)), values, got.ray, len(live))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from .snerg import Snerg
 from .visibility import visible_voxels
 
 AUTO = 0  # samples: as many as are worth their time
+LOOKED_UP = 2  # bytes a voxel, while the tables of a march are made
 VERSION = 2  # of what a bake keeps for going on later
 
 
@@ -89,7 +90,8 @@ def bake(
     check_field(field)
     lattice = Lattice.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     channels = 8 if settings.network and field.network is not None else 4
-    check_fits(field, box, lattice, channels * (1 if settings.quantise else 4))
+    looks = LOOKED_UP if field.ndc is not None and settings.fill_holes is None else 0
+    check_fits(field, box, lattice, channels * (1 if settings.quantise else 4) + looks)
     kept = Kept(resume, key_of(field, box, cameras, settings) if resume is not None else "")
     tell, clock = TimeLeft(progress), _Clock()
 
@@ -117,7 +119,7 @@ def bake(
         settings.seed,
         settings.quantise,
         kept,
-        lambda f: tell(0.5 + 0.5 * f, "Baking colour and opacity"),
+        lambda f: tell(0.5 + 0.48 * f, "Baking colour and opacity"),
     )
     clock.lap("prefilter")
     about: dict[str, Any] = {
@@ -135,29 +137,22 @@ def bake(
         about["samples_measured"] = evidence
     if not len(cells):
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
-    return with_holes(
-        Snerg(
-            lattice.grid_to_world,
-            lattice.voxel_size,
-            lattice.shape,
-            indirection,
-            cells,
-            field.network if channels == 8 else None,
-            about={"bake": about},
-            ndc=field.ndc,
-        ),
-        field,
-        cameras,
-        settings,
+    network = field.network if channels == 8 else None
+    snerg = Snerg(
+        lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, network, about={"bake": about}, ndc=field.ndc
     )
+    snerg = with_equation_9(snerg, field, cameras, settings, lambda f: tell(0.98 + 0.02 * f, "Looking for holes"))
+    clock.lap("holes")
+    tell(1.0, "Baking")
+    return snerg
 
 
-def with_holes(snerg: Snerg, field: Field, cameras: Sequence[Camera], settings: BakeSettings) -> Snerg:
+def with_equation_9(snerg: Snerg, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]) -> Snerg:
     """The scene with equation 9 where the settings say so, or, in a forward-facing one, where its rays come nearer to the field's with it
     (or there are none)."""
     fills = settings.fill_holes
     if fills is None and snerg.ndc is not None and cameras and len(snerg.cells):
-        errors = hole_errors(field, snerg, cameras, settings.seed)
+        errors = hole_errors(field, snerg, cameras, settings.seed, tell)
         snerg.about["bake"]["holes"] = errors
         fills = errors["with"] < errors["without"]
     if fills is None:

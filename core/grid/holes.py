@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..capture.camera import Camera
+from ..capture.ndc import space_rays
 from ..field.field import Field
-from ..field.volume import composite_rows, optical_depth
+from ..field.render import integrate
 from .approach import enter
 from .march import Composited, filled, march_rays, shade
-from .samples import FINER
 from .snerg import Snerg
 
 CAMERAS = 8  # looked from, spread over all
 RAYS = 128  # of each
 
 
-def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int) -> dict[str, float]:
+def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]) -> dict[str, float]:
     """{"with": ..., "without": ...}: how far the rays of a scene that does without equation 9 are from the field's, with it and without it:
     root mean square of colour and transmittance.
 
     The equation makes up for light that a bake lets through surfaces (supplement C.3). Where the field itself is translucent, or was
-    trained to let its background shine through, it takes away what belongs there.
+    trained to let its background shine through, it takes away what belongs there. tell: called with the fraction done.
     """
     rng = np.random.default_rng(seed)
     values: dict[str, list[np.ndarray]] = {"field": [], "with": [], "without": []}
-    for camera in cameras[:: -(-len(cameras) // CAMERAS)]:
+    some = cameras[:: -(-len(cameras) // CAMERAS)]
+    for index, camera in enumerate(some):
+        tell(index / len(some))
         origins, directions = camera.rays(rng.integers(0, (camera.width, camera.height), (RAYS, 2)))
         near = max(snerg.near, camera.near)
         baked = march_rays(snerg, origins, directions, near=near)
@@ -39,13 +41,9 @@ def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int
 
 
 def field_rays(field: Field, snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> Composited:
-    """What rays of the world [N, 3] gather of a field inside a scene's grid, FINER points to a voxel; without depth."""
-    entry, along, start, stop = enter(snerg, origins, directions, near)
-    steps = (np.arange(max(int(np.ceil(FINER * (stop - start).max(initial=0))), 1)) + 0.5) / FINER
-    points = (entry.T[:, None] + along.T[:, None] * steps[:, None]) * snerg.voxel_size
-    world = points.reshape(-1, 3) @ snerg.grid_to_world[:3, :3].T + snerg.grid_to_world[:3, 3]
-    density, rgb, features = field.query(world)
-    inside = steps < (stop - start)[:, None]
-    depth = optical_depth(np, np.where(inside, density.reshape(inside.shape), 0), np.float32(snerg.voxel_size / FINER))
-    gathered, through, _ = composite_rows(np, depth, np.concatenate([rgb, features], axis=-1).reshape(*inside.shape, -1))
-    return Composited(gathered[:, :3], gathered[:, 3:], through, np.zeros_like(through))
+    """What rays of the world [N, 3] gather of a field inside a scene's grid; without depth."""
+    domain, unit = field.domain, snerg.voxel_size * field.domain.scale
+    *_, start, stop = enter(snerg, origins, directions, near)
+    o, d, *_ = space_rays(snerg.ndc, origins, directions, near)
+    gathered, through = integrate(field, (o - domain.centre) * domain.scale, d, start * unit, directions, stop * unit)
+    return Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1])

@@ -31,20 +31,21 @@ MET = 0.99  # a ray that keeps less of its light has met something
 
 @dataclass(frozen=True)
 class Light:
-    """What became of the light of the cameras' rays. met: rays that met something; left: the sum of what passed them; samples: that
-    they took."""
+    """What became of the light of the cameras' rays. met: rays that met something; left: the sum of what passes that; samples: that all
+    rays took."""
 
     met: float = 0.0
     left: float = 0.0
     samples: float = 0.0
 
-    def and_of(self, rays: Composited) -> Light:
-        """With more rays."""
-        met = rays.transmittance < MET
-        return Light(self.met + met.sum(), self.left + rays.transmittance[met].sum(dtype=np.float64), self.samples + (rays.samples or 0))
+    def and_of(self, rays: Composited, stop: float) -> Light:
+        """With more rays, which ended where less light than `stop` was left."""
+        met, passes = rays.transmittance < MET, rays.transmittance > stop
+        left = rays.transmittance[met & passes].sum(dtype=np.float64)
+        return Light(self.met + met.sum(), self.left + left, self.samples + (rays.samples or 0))
 
     def to_json(self) -> dict[str, Any]:
-        """{"rays": that met something, "passes": the share of their light that passes it, "voxels": on the way of one there, about}."""
+        """{"rays": that met something, "passes": the share of their light that passes it, "voxels": taken samples along, a ray, about}."""
         rays = max(self.met, 1.0)
         return {"rays": round(self.met), "passes": round(self.left / rays, 4), "voxels": round(2 * self.samples / rays, 1)}
 
@@ -68,7 +69,7 @@ def visible_voxels(
 
         coarse = marching_camera(camera, scene)
         origins, directions = coarse.rays(tiled(coarse.width, coarse.height))
-        light = light.and_of(march_rays(scene, origins, directions, settings, tell, camera.near, visited))
+        light = light.and_of(march_rays(scene, origins, directions, settings, tell, camera.near, visited), threshold)
         tell(1.0, "")
         if kept.due or index + 1 == len(cameras):
             kept.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(light))})

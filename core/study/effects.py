@@ -201,12 +201,12 @@ def _fill(forward: bool) -> Decision:
 def _fill_of(snerg: Snerg) -> Decision:
     bake = snerg.about.get("bake", {})
     if errors := bake.get("holes"):
-        evidence = f"Rays of the cameras are {errors['with']:.3f} away from the field's with it, {errors['without']:.3f} without it."
+        evidence = f"Rays of the cameras are {errors['with']:.5f} away from the field's with it, {errors['without']:.5f} without it."
         return Decision(FILL, snerg.fill_holes, evidence, errors["with"], errors["without"])
     if not snerg.fill_holes and snerg.ndc is None:
         return _fill(False)
     told = bake.get("settings", {}).get("fill_holes") is not None
-    why = "Its bake was told so." if told else "There were no rays to measure with; it is for forward-facing scenes (supplement C.3)."
+    why = "Its bake was told so." if told else "The scene does not say why; it is for forward-facing scenes (supplement C.3)."
     return Decision(FILL, snerg.fill_holes, why, overridden=told)
 
 
@@ -244,11 +244,9 @@ def _view_of(snerg: Snerg, decision: Decision) -> Effect:
 def _clear_of(snerg: Snerg) -> Effect:
     light = snerg.about.get("bake", {}).get("light")
     if not light:
-        return Effect(
-            unknown(CLEAR, "The scene does not say what becomes of light in it: its bake marched from no cameras.", PASSES), *WORTH[CLEAR]
-        )
-    evidence = f"{100 * light['passes']:.0f} % of the light that meets something passes it (outlines let some pass as well; from "
-    evidence += f"{100 * PASSES:.0f} % on, it is more), and the rest ends within about {light['voxels']:.0f} voxels."
+        return Effect(unknown(CLEAR, "The scene does not say what becomes of light in it.", PASSES), *WORTH[CLEAR])
+    evidence = f"{100 * light['passes']:.0f} % of the light that meets something passes it (under {100 * PASSES:.0f} % may be outlines "
+    evidence += f"alone), and a ray takes samples along about {light['voxels']:.0f} voxels."
     return Effect(Decision(CLEAR, light["passes"] >= PASSES, evidence, light["passes"], PASSES), *WORTH[CLEAR])
 
 

@@ -12,7 +12,7 @@ from ..errors import SnergError
 from ..export.codecs import CodecSettings
 from ..export.scene import PNG
 from ..files import json_bytes
-from ..grid.bake import AUTO, BakeSettings
+from ..grid.bake import AUTO, VERSION, BakeSettings
 from ..grid.march import MarchSettings
 
 SHARES = (0.25, 0.375, 0.5, 0.75)  # of the usual resolution, coarse first
@@ -62,7 +62,7 @@ class Config:
         march = {"tolerance": self.march.tolerance, "stop_transmittance": self.march.stop_transmittance}
         march |= {"per_sample_network": self.march.per_sample_network}
         rest = {"refine": self.refine, "codec": self.codec.to_json(), "field": self.field, "page": self.page}
-        return {"bake": asdict(self.bake), "march": march, **rest}
+        return {"bake": asdict(self.bake), "version": VERSION, "march": march, **rest}
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Config:

@@ -134,7 +134,7 @@ def test_equation_9_is_told_with_what_decided_it():
     snerg = make_forward()
     snerg.about["bake"] = {"holes": {"with": 0.02, "without": 0.03}}
     found = by_name(of_scene(snerg))["Equation 9"]
-    assert found.chosen is True and (found.measured, found.threshold) == (0.02, 0.03) and "0.020" in found.evidence
+    assert found.chosen is True and (found.measured, found.threshold) == (0.02, 0.03) and "0.02000" in found.evidence
     assert by_name(of_scene(make_forward()))["Equation 9"].chosen is True
     told = by_name(of_scene(replace(make_snerg((31, 30, 33)), fill_holes=True, about={"bake": {"settings": {"fill_holes": True}}})))
     assert told["Equation 9"].overridden and by_name(of_scene(make_snerg((31, 30, 33))))["Equation 9"].chosen is False
