@@ -122,7 +122,8 @@ def is_temporary(scene: bpy.types.Scene) -> bool:
 def _absolute(path: str, scene: bpy.types.Scene) -> Path:
     if path.startswith("//") and not bpy.data.filepath:
         return Path(bpy.app.tempdir) / path[2:]
-    return Path(os.path.abspath(bpy.path.abspath(path, library=scene.library)))
+    linked = scene.path_resolve("library")  # the .blend that the scene is linked from, None where it is this one's own
+    return Path(os.path.abspath(bpy.path.abspath(path, library=linked)))
 
 
 def remember(project: Project, step: str, folder: Path, facts: dict[str, Any], **more: Any) -> None:

@@ -20,20 +20,30 @@ DARK = 1e-3  # light of which no more is followed: a quarter of a level of 8 bit
 def render_field(field: Field, camera: Camera, progress: Progress = silent) -> Frame:
     """Volume-render a camera's picture (eqs. 5 to 7) at the field's own sample spacing."""
     origins, directions = camera.rays()
-    domain, count = field.domain, len(origins)
+    count = len(origins)
     o, d, near, _ = space_rays(field.ndc, origins, directions, camera.near)
     parts = []
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
-        parts.append(integrate(field, (o[rows] - domain.centre) * domain.scale, d[rows], near[rows] * domain.scale, directions[rows]))
+        parts.append(through_space(field, o[rows], d[rows], near[rows], directions[rows]))
         progress(min(start + RAYS, count) / count, "Rendering the field")
     gathered, through = (np.concatenate(part) for part in zip(*parts, strict=True))
-    rays = Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1] / np.float32(domain.scale))
+    rays = Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1])
     colour, alpha = shade(field.network if field.view == "deferred" else None, rays, directions), 1 - through
     depth = world_distance(field.ndc, origins, directions, mean_distance(np, rays.depth, alpha, 0.0), camera.near)
     depth = np.where(alpha > 1e-6, depth, np.inf).astype(np.float32)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))
+
+
+def through_space(
+    field: Field, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, looking: np.ndarray, far: np.ndarray | float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """`integrate` along rays [R, 3] of the field's space, with lengths in its units."""
+    centre, scale = field.domain.centre, field.domain.scale
+    gathered, through = integrate(field, (origins - centre) * scale, directions, near * scale, looking, far * scale)
+    gathered[:, -1] /= np.float32(scale)
+    return gathered, through
 
 
 def integrate(

@@ -31,7 +31,7 @@ from .visibility import visible_voxels
 
 AUTO = 0  # samples: as many as are worth their time
 LOOKED_UP = 2  # bytes a voxel, while the tables of a march are made
-VERSION = 2  # of what a bake keeps for going on later
+VERSION = 2  # of bakes: another where the same settings keep or give something else
 
 
 @dataclass(frozen=True)

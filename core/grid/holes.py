@@ -9,7 +9,7 @@ import numpy as np
 from ..capture.camera import Camera
 from ..capture.ndc import space_rays
 from ..field.field import Field
-from ..field.render import integrate
+from ..field.render import through_space
 from .approach import enter
 from .march import Composited, filled, march_rays, shade
 from .snerg import Snerg
@@ -41,9 +41,8 @@ def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int
 
 
 def field_rays(field: Field, snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> Composited:
-    """What rays of the world [N, 3] gather of a field inside a scene's grid; without depth."""
-    domain, unit = field.domain, snerg.voxel_size * field.domain.scale
+    """What rays of the world [N, 3] gather of a field inside a scene's grid."""
     *_, start, stop = enter(snerg, origins, directions, near)
     o, d, *_ = space_rays(snerg.ndc, origins, directions, near)
-    gathered, through = integrate(field, (o - domain.centre) * domain.scale, d, start * unit, directions, stop * unit)
+    gathered, through = through_space(field, o, d, start * snerg.voxel_size, directions, stop * snerg.voxel_size)
     return Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1])

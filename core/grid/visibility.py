@@ -53,7 +53,8 @@ class Light:
 def visible_voxels(
     matter: Matter, lattice: Lattice, ndc: Ndc | None, cameras: Sequence[Camera], threshold: float, kept: Kept, progress: Progress
 ) -> tuple[np.ndarray, Light]:
-    """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them."""
+    """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them; and what
+    became of the light of all rays."""
     scene = opacity_scene(matter, lattice.halved(), ndc)
     visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
     for done, arrays in kept.read("visibility"):

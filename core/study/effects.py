@@ -212,10 +212,10 @@ def _fill_of(snerg: Snerg) -> Decision:
 
 def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:
     """What only a bake can tell, and what is known of it all the same."""
-    sees = f"The bake marches from the {cameras} training cameras and counts what none of them sees."
+    marches = f"The bake marches from the {cameras} training cameras and counts what none of them sees"
     blind = Decision(CULL, False, "There are no cameras to see anything.")
-    cull = unknown(CULL, sees, BakeSettings().visibility_threshold) if cameras else blind
-    clear = unknown(CLEAR, f"{sees[:-1]}, and what light passes." if cameras else "There are no cameras to measure it from.", PASSES)
+    cull = unknown(CULL, f"{marches}.", BakeSettings().visibility_threshold) if cameras else blind
+    clear = unknown(CLEAR, f"{marches}, and what light passes." if cameras else "There are no cameras to measure it from.", PASSES)
     gain = "The bake doubles them as long as short rays through its voxels come nearer to the field by more than the threshold."
     fit = unknown(REFINE, "Refining keeps the network that is better on a tenth of its pixels.", 0.0)
     diffuse = Decision(REFINE, False, "The field is diffuse: there is no network to refine.")
