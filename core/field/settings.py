@@ -48,6 +48,8 @@ class TrainSettings:
         frequencies of the direction that it sees, 2 (ours; the paper has 4, with which, or at the full rate, a few minutes learn
         by heart what mirrors show the training cameras: other views of one were 1 dB worse). beta_2: 0.99 (ours; JAXNeRF has
         Adam's 0.999). warm_up: steps in which the rate rises from a tenth of itself, 64 (ours; section 6: 2500, from 2e-4).
+        average: the last share of the training over which the field is the mean of its parameters, 0.1 (ours: +0.05 dB on Lego after
+        five minutes, +0.13 after two, +0.15 where images are few and the training ends by learning their noise; the paper has none).
         clip_value, clip_norm: gradients are cut off at the one and then scaled to the other, None (ours; section 6: 0.01 each).
     seconds, steps: how long to train, 300 seconds; the schedule spans it (section 6: 250000 steps). seed: of everything random.
     """
@@ -79,6 +81,7 @@ class TrainSettings:
     view_degrees: int = 2
     beta_2: float = 0.99
     warm_up: int = 64
+    average: float = 0.1
     clip_value: float | None = None
     clip_norm: float | None = None
     seconds: float | None = 300.0
@@ -111,6 +114,7 @@ class TrainSettings:
             ("view_degrees", 0, VIEW_DEGREES),
             ("beta_2", 0, 0.999999),
             ("warm_up", 0, 2**31),
+            ("average", 0, 0.5),
             ("seed", 0, 2**63 - 1),
         ):
             _within(name, getattr(self, name), least, most)
@@ -187,6 +191,7 @@ _PAPER = TrainSettings(
     steps=250_000,
     seconds=None,
     beta_2=0.999,  # JAXNeRF
+    average=0.0,  # JAXNeRF
 )
 
 PRESETS = {

@@ -23,6 +23,7 @@ from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
 from ..progress import Note, Progress, silent
 from . import decide, trial
+from .average import EVERY, Average
 from .backdrop import border_share, silhouette
 from .checkpoint import read_field_and_state, write_field
 from .field import Field
@@ -119,6 +120,7 @@ class Trainer:
         params = init_params(settings.family, settings.view_dependence, self.scheme.settings.hierarchy == "on", self.rng)
         self.params = self.devices.place(with_frequencies(params, settings.view_degrees))
         self.moments = self.devices.place(zero_moments(self.devices.local(self.params)))
+        self.average = Average()
         self.held_out = None if held_out is None else self._held_out(held_out)
         self.step, self.elapsed, self.bad = 0, 0.0, 0
         self.stopping = False  # told to, where there are other processes to stop with
@@ -257,13 +259,19 @@ class Trainer:
             why = cause(self.scheme.loss, self.devices.local(self.params), batch.arrays)
             raise SnergError(f"Training went wrong at step {self.step - self.bad + 1}, and {PATIENCE} times in a row: {why}.")
         if finite:
+            if fraction >= 1 - self.settings.average and self.step % EVERY == 0:
+                self.average.add(self.devices.local(self.params))
             keep = 0.98 if self.loss else 0.0
             self.loss = keep * self.loss + (1 - keep) * loss
             self.error = keep * self.error + (1 - keep) * error
 
     def errors(self, rays: Rays) -> np.ndarray:
         """Squared errors [R] of rays, as the field is now."""
-        return rays.errors(self.scheme.colours(self.devices.local(self.params), rays, self.fraction()))
+        return rays.errors(self.scheme.colours(self.best(), rays, self.fraction()))
+
+    def best(self) -> Any:
+        """The parameters that a field has: their mean over the last steps, once there is one."""
+        return self.devices.local(self.params) if self.average.mean is None else self.average.mean
 
     @property
     def psnr(self) -> float:
@@ -272,7 +280,7 @@ class Trainer:
 
     def field(self) -> Field:
         """The field as trained so far; without features where it is diffuse."""
-        params = jax.tree.map(np.asarray, self.devices.local(self.params))
+        params = jax.tree.map(np.asarray, self.best())
         network = ViewNetwork(*params["view"]) if "view" in params and self.view != "diffuse" else None
         if self.settings.view_dependence == "auto" and self.view == "diffuse":
             shapes = init_field(self.settings.family, "diffuse", np.random.default_rng(0))["field"]
@@ -313,7 +321,7 @@ class Trainer:
         arrays["clock"] = np.array([self.step, self.elapsed, self.loss, self.error, self.bad], np.float64)
         arrays["random"] = np.frombuffer(repr(self.rng.bit_generator.state).encode(), np.uint8)
         arrays["decided"] = np.frombuffer(b"" if self.undecided else self.view.encode(), np.uint8)
-        return arrays | {name: np.array(value) for name, value in self.scheme.state().items()}
+        return arrays | self.average.state() | {name: np.array(value) for name, value in self.scheme.state().items()}
 
     def restore(self, state: dict[str, np.ndarray], decisions: list[dict[str, Any]] | None = None) -> None:
         """Go on from a `state`, and the decisions as `field().about` has them. Raises SnergError when it is another network's."""
@@ -322,6 +330,7 @@ class Trainer:
         if any(k is None or k.shape != leaf.shape for k, leaf in zip(kept, leaves, strict=True)) or len(state.get("clock", ())) != 5:
             raise SnergError("The field to go on with has another network than these settings; train into a new folder.")
         self.params, self.moments = self.devices.place(jax.tree.unflatten(tree, kept))
+        self.average.restore(state, self.devices.local(self.params))
         self.scheme.restore(state)
         self.step, self.bad = int(state["clock"][0]), int(state["clock"][4])
         self.elapsed, self.loss, self.error = (float(x) for x in state["clock"][1:4])

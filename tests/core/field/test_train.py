@@ -19,6 +19,7 @@ from snerg.core.capture.dataset import Dataset, View, read_dataset
 from snerg.core.capture.images import write_png
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.field import trial
+from snerg.core.field.average import EVERY
 from snerg.core.field.checkpoint import read_field, read_field_and_state, write_field
 from snerg.core.field.decide import Decision
 from snerg.core.field.encoding import HashGrid
@@ -247,6 +248,25 @@ def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_doe
     assert [d["effect"] for d in resumed.about["decisions"]] == [d["effect"] for d in whole.about["decisions"]]
     steps = [line["step"] for line in read_log(folder) if "loss" in line]
     assert steps == sorted(set(steps)) and steps[-1] == 60
+
+
+def test_a_field_is_the_mean_over_the_last_steps_resumed_or_not(views, tmp_path):
+    settings = replace(SETTINGS, steps=60, average=0.5)
+    trainer, seen, halfway = Trainer(views, settings), [], {}
+    while trainer.fraction() < 1:
+        trainer.advance()
+        if trainer.step > 30 and trainer.step % EVERY == 0:
+            seen.append(np.asarray(trainer.params["field"]["weights_0"], np.float64))
+        if trainer.step == 45:
+            halfway = trainer.state()
+    last, mean = seen[-1], trainer.field().params["weights_0"]
+    assert np.abs(mean - np.mean(seen, axis=0)).max() < 1e-6 < np.abs(mean - last).max()
+    other = Trainer(views, settings)
+    other.restore(halfway)
+    while other.fraction() < 1:
+        other.advance()
+    for a, b in zip(jax.tree.leaves(trainer.field().params), jax.tree.leaves(other.field().params), strict=True):
+        assert a.tobytes() == b.tobytes()
 
 
 @pytest.mark.parametrize(("coarse", "networks"), [(8, 2), (200, 1)])
