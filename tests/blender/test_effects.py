@@ -22,6 +22,7 @@ from snerg.snerg_addon.capture import evaluated, render_dataset
 
 ROOT = Path(__file__).parents[2]
 STEPS = 1200
+CHANCE = 0.05  # dB: by how much two trainings of these pictures, alike but for their seed, may happen to differ (measured: 0.03)
 
 
 def rendered(out: Path, metallic: float, roughness: float, specular: float) -> Path:
@@ -66,7 +67,7 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
     assert any(path.name.startswith("feature") for path in (tmp_path / "forced-page").rglob("*"))
     assert any_scene(tmp_path / "auto-page").network is None
     assert sizes["auto"] < sizes["forced"] * 2 / 3, sizes
-    assert quality["auto"] > quality["forced"] - 0.1, quality
+    assert quality["auto"] > quality["forced"] - 0.1 - CHANCE, quality
     assert seconds["auto"] < seconds["forced"], seconds
 
 
