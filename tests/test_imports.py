@@ -10,6 +10,7 @@ ROOT = Path(__file__).parent.parent
 JAX_MODULES = {
     f"snerg.core.{name}"
     for name in (
+        "field.average",
         "field.hierarchical",
         "field.optimise",
         "field.packed",
