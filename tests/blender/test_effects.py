@@ -22,7 +22,6 @@ from snerg.snerg_addon.capture import evaluated, render_dataset
 
 ROOT = Path(__file__).parents[2]
 STEPS = 1200
-CHANCE = 0.05  # dB: by how much two trainings of these pictures, alike but for their seed, may happen to differ (measured: 0.03)
 
 
 def rendered(out: Path, metallic: float, roughness: float, specular: float) -> Path:
@@ -46,7 +45,8 @@ def rendered(out: Path, metallic: float, roughness: float, specular: float) -> P
 
 def trained(dataset: Path, out: Path, steps: int = STEPS, **values: str) -> str:
     """Train; returns what was decided on view dependence."""
-    decisions = verbs.train_field(dataset, out, steps=steps, values=values)["decisions"]
+    steadied = {"average": "0.4", **values}  # so short a training is else a matter of its seed, by 0.03 dB
+    decisions = verbs.train_field(dataset, out, steps=steps, values=steadied)["decisions"]
     return next((str(d["chosen"]) for d in decisions if d["effect"] == EFFECT), "")
 
 
@@ -67,7 +67,7 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
     assert any(path.name.startswith("feature") for path in (tmp_path / "forced-page").rglob("*"))
     assert any_scene(tmp_path / "auto-page").network is None
     assert sizes["auto"] < sizes["forced"] * 2 / 3, sizes
-    assert quality["auto"] > quality["forced"] - 0.1 - CHANCE, quality
+    assert quality["auto"] > quality["forced"] - 0.1, quality
     assert seconds["auto"] < seconds["forced"], seconds
 
 

@@ -80,15 +80,16 @@ def test_it_learns_what_it_never_saw(trained, views, dataset):
 
 @pytest.mark.slow
 def test_the_loss_for_hard_surfaces_makes_light_end_sooner(views, tmp_path):
-    """Ten times the usual weight, so that hundreds of steps show what thousands do: fewer voxels on a ray's way, and fewer kept."""
-    settings = replace(SETTINGS, steps=600)
+    """Ten times the usual weight, so that hundreds of steps show what thousands do: fewer voxels on a ray's way, and fewer kept. The loss
+    alone: a mean of steps makes soft surfaces a little harder by itself."""
+    settings = replace(SETTINGS, steps=600, average=0.0)
     told = []
     for hardness in (0.0, 5e-3):
         field = train(views, replace(settings, hardness=hardness), tmp_path / f"{hardness}")
         told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, samples=1)).about["bake"])
     soft, hard = told
-    assert hard["light"]["voxels"] < 0.85 * soft["light"]["voxels"] and hard["light"]["passes"] < soft["light"]["passes"]
-    assert hard["voxels"]["seen"] < 0.9 * soft["voxels"]["seen"]
+    assert hard["light"]["voxels"] < 0.8 * soft["light"]["voxels"] and hard["light"]["passes"] < soft["light"]["passes"]
+    assert hard["voxels"]["seen"] < 0.8 * soft["voxels"]["seen"]
 
 
 def test_a_field_comes_back_from_disk_as_it_was(trained, views):
