@@ -12,13 +12,13 @@ import shutil
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from .errors import SnergError
+from .errors import Cancelled, SnergError
 
 MAX_JSON_BYTES = 2**28
 ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
@@ -89,6 +89,81 @@ def new_folder(path: Path) -> Iterator[Path]:
             raise cannot_write(path, error) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)  # half a folder, or the one that was there before
+
+
+def put_in_place(new: Path, path: Path, keep: Path | None = None) -> None:
+    """A finished folder of ours takes the place of `path`, whole, in one step where the system has one (see new_folder).
+
+    What was there goes to `keep`, in place of a folder of ours there, or is deleted where that is None.
+    Raises SnergError when it cannot; then `new` and `path` are as they were.
+    """
+    path = Path(os.path.realpath(path))
+    check_replaceable(path)
+    try:
+        _flush(new)
+        _swap(new, path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    if keep is not None and new.exists():
+        with contextlib.suppress(OSError):
+            discard(keep)
+            os.replace(new, keep)
+    shutil.rmtree(new, ignore_errors=True)
+
+
+def discard(folder: Path) -> None:
+    """Delete a folder that bears our mark, and nothing that is not one."""
+    if (folder / MARK).exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+T = TypeVar("T")
+READS = 20  # of a folder that is replaced again and again
+
+
+def one_generation(folder: Path, read: Callable[[], T]) -> T:
+    """What `read` gives of a folder (or file) that other processes may replace meanwhile: of one generation of it, never of two.
+
+    It is read again where it was replaced. Raises what `read` raises, and SnergError where it is replaced in every read.
+    """
+    for _ in range(READS):
+        with _held(folder) as same:
+            try:
+                result = read()
+            except Exception as error:
+                if isinstance(error, Cancelled) or same():
+                    raise
+                continue  # half of it was gone
+            if same():
+                return result
+    raise SnergError(f"{folder} is replaced again and again while it is read; wait for what writes it, or stop that.")
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[Callable[[], bool]]:
+    """Whether the same folder is still there: it is held open where the system can, so that no other gets its number."""
+    before = _status(folder)
+    descriptor = None
+    if os.name == "posix" and before is not None:
+        with contextlib.suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not hold us up
+            before = os.fstat(descriptor)
+    try:
+        yield lambda: _same(before, _status(folder))
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except (OSError, ValueError):
+        return None
+
+
+def _same(before: os.stat_result | None, now: os.stat_result | None) -> bool:
+    return before is now if before is None or now is None else os.path.samestat(before, now)
 
 
 def _flush(folder: Path) -> None:

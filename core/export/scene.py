@@ -16,7 +16,7 @@ from ..capture.images import png_bytes
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import ViewNetwork
-from ..files import json_bytes, new_folder, read_json
+from ..files import json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from ..progress import Progress, silent
@@ -134,7 +134,14 @@ def is_scene(folder: Path) -> bool:
 
 
 def read_scene(folder: Path) -> Snerg:
-    """Read a scene folder, whatever its codec. Raises SnergError that names the file and what is wrong with it."""
+    """Read a scene folder, whatever its codec, all of it from one generation where another process replaces it meanwhile.
+
+    Raises SnergError that names the file and what is wrong with it.
+    """
+    return one_generation(folder, lambda: _read_scene(folder))
+
+
+def _read_scene(folder: Path) -> Snerg:
     path, value = _read_json(folder)
     try:
         return _read(folder, value)

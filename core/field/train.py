@@ -379,6 +379,11 @@ def held_out_of(dataset: Dataset) -> Dataset | None:
     return None
 
 
+def writes() -> bool:
+    """Whether this process is the one of its training that writes."""
+    return bool(jax.process_index() == 0)
+
+
 def train(
     dataset: Dataset,
     settings: TrainSettings,

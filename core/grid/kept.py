@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
 import zipfile
 from collections import deque
@@ -75,12 +74,6 @@ class Kept:
                 write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
             write_arrays(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", self.new)
         self.new, self.saved = {}, time.monotonic()
-
-
-def discard(folder: Path) -> None:
-    """Delete such a folder, and nothing that is not one."""
-    if (folder / MARK).exists():
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def each(stage: str, count: int, work: Callable[[int], Arrays], kept: Kept, tell: Callable[[float], None]) -> Iterator[tuple[int, Arrays]]:

@@ -28,6 +28,7 @@ from ..files import MARK, check_replaceable, json_bytes, read_json, write_bytes
 from ..grid.bake import BakeSettings
 from ..grid.box import Box
 from ..grid.snerg import Snerg
+from ..lock import writes_out
 from ..progress import Progress, silent, within
 from .front import Target, choose
 from .machine import describe_machine
@@ -47,6 +48,7 @@ HOLDOUT = 8
 SHOWN = 5  # configurations on the sheet of pictures
 
 
+@writes_out("a study")
 def study(
     source: Path,
     out: Path,
