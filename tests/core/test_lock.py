@@ -151,7 +151,7 @@ def test_every_verb_that_writes_is_the_only_one(tmp_path, dataset, monkeypatch):
 def test_two_trainings_into_one_folder(tmp_path, dataset):
     """The second is refused at once, and the log is the first's alone."""
     pytest.importorskip("jax")
-    command = [sys.executable, "-m", "snerg.core.cli", "train", str(dataset), "--out", str(tmp_path / "field"), "--steps", "200"]
+    command = [sys.executable, "-m", "snerg.core.cli", "train", str(dataset), "--out", str(tmp_path / "field"), "--steps", "60"]
     children = [subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(2)]
     ended, end = [], time.monotonic() + 120
     while not ended and time.monotonic() < end:
@@ -161,7 +161,7 @@ def test_two_trainings_into_one_folder(tmp_path, dataset):
     assert refused.returncode == 2
     said = refused.communicate()[1]
     first = next(child for child in children if child is not refused)
-    assert f"is being written by a training that was started at {time.strftime('%H:')}" in said or "started at" in said
-    assert f"(process {first.pid} on " in said and said.count("\n") == 1
+    assert re.search(rf"is being written by a training that was started at \d\d:\d\d \(process {first.pid} on .*\n$", said)
+    assert said.count("\n") == 1
     first.communicate(timeout=120)
     assert first.returncode == 0
