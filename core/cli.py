@@ -9,19 +9,20 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, cast
 
-from . import predict, verbs
+from . import interrupt, predict, verbs
 from .capture.dataset import DatasetOptions
-from .errors import Cancelled, SnergError, needs_jax
+from .errors import Cancelled, SnergError, clean, needs_jax
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
@@ -31,41 +32,41 @@ from .grid.bake import AUTO, BakeSettings
 from .grid.march import MarchSettings
 from .jobs.protocol import EXIT_ERROR, run_job
 from .progress import Note, Progress
+from .start import STOPPED as EXIT_STOPPED
 from .study.front import Target
 from .study.plan import StudySettings
 
-EXIT_STOPPED = 130
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
 Work = Callable[[argparse.Namespace, Progress], dict[str, Any]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code. arguments: without the program's name; those of the process when None."""
+    """Run one verb and return the exit code. arguments: without the program's name; those of the process when None.
+
+    Called in the main thread it listens to Ctrl-C, and ends the process when the work does not stop within a second of it.
+    """
     try:
         options = parser().parse_args(sys.argv[1:] if arguments is None else list(arguments))
     except SystemExit as end:  # --help, or arguments that make no sense: inside Blender the process must go on
         return int(end.code or 0)
-    work: Work = options.work
+
+    def work(progress: Progress) -> dict[str, Any]:
+        with refusals():
+            return cast("dict[str, Any]", plain(options.work(options, progress)))
+
     if options.job:
-        return run_job(lambda progress: plain(work(options, progress)))
-    progress = Terminal(sys.stderr)
+        return run_job(work)
+    terminal = Terminal(sys.stderr)
     try:
-        with keyboard(progress) as watched:
-            result = plain(work(options, watched))
-    except KeyboardInterrupt:
-        progress.end()
-        print("snerg: Stopped.", file=sys.stderr)
-        return EXIT_STOPPED
+        result = stoppable(work, terminal)
+        terminal.end()
+        write_result(json.dumps(result, allow_nan=False) if options.json else options.show(result))
     except SnergError as error:
-        progress.end()
-        print(f"snerg: {error}", file=sys.stderr)
+        terminal.last(f"snerg: {error}")
         return EXIT_STOPPED if isinstance(error, Cancelled) else EXIT_ERROR
     except MemoryError:
-        progress.end()
-        print("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.", file=sys.stderr)
+        terminal.last("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.")
         return EXIT_ERROR
-    progress.end()
-    print(json.dumps(result, allow_nan=False) if options.json else options.show(result))
     return 0
 
 
@@ -299,31 +300,60 @@ def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
 
 
 @contextmanager
-def keyboard(progress: Progress) -> Iterator[Progress]:
-    """Progress that raises Cancelled after Ctrl-C, so that work stops between two steps and not in the middle of one.
+def refusals() -> Iterator[None]:
+    """What the system refuses, whatever was asked of it, as a sentence: a folder that may not be searched, a path too long."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or not error.strerror:
+            raise
+        raise SnergError(f"The system refuses {error.filename} ({error.strerror}); check the path and its permissions.") from error
 
-    A second Ctrl-C stops at once. Elsewhere than in the main thread the keyboard is not ours to listen to.
+
+def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) -> dict[str, Any]:
+    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.run); a second Ctrl-C does not wait even for saving.
+
+    Elsewhere than in the main thread the keyboard is not ours to listen to.
     """
+    if threading.current_thread() is not threading.main_thread():
+        return work(terminal)
     asked = threading.Event()
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
+    def leave() -> NoReturn:
+        interrupt.leave(EXIT_STOPPED, lambda: terminal.last("snerg: Stopped."))
+
+    def waiting() -> None:
+        terminal.last("snerg: Saving what is finished; press Ctrl-C again to leave without it.")
+
+    with keyboard(asked, leave):
+        return interrupt.run(lambda: work(interrupt.watched(terminal, asked)), asked, leave, waiting)
+
+
+@contextmanager
+def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None]:
+    """The first Ctrl-C sets `asked`; the next ones call `again`."""
+
+    def pressed(number: int, frame: FrameType | None) -> None:
         if asked.is_set():
-            raise KeyboardInterrupt
+            again()
         asked.set()
 
-    def watched(fraction: float, message: str, /) -> None:
-        if asked.is_set():
-            raise Cancelled("Stopped as you asked; what was finished before is kept.")
-        progress(fraction, message)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield progress
-        return
-    before = signal.signal(signal.SIGINT, interrupt)
+    before = signal.signal(signal.SIGINT, pressed)
     try:
-        yield watched
-    finally:
-        signal.signal(signal.SIGINT, before)
+        yield
+    finally:  # None: a handler that was installed in C, as Blender's is, cannot be put back from here
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+
+
+def write_result(text: str) -> None:
+    """A line or more on standard output. Raises SnergError when nobody reads it, or a disk is full."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    try:
+        print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)
+    except OSError as error:
+        with suppress(OSError, ValueError, AttributeError):  # or what is still held back would fail once more at the very end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SnergError(f"The result cannot be written to standard output ({error.strerror}); what was asked for is done.") from error
 
 
 class _Parser(argparse.ArgumentParser):
@@ -397,22 +427,31 @@ class Terminal:
     def __call__(self, fraction: float, message: str, /) -> None:
         """Show where the work is."""
         if isinstance(message, Note):
-            self.stream.write(f"\r\x1b[K{message}\n" if self.over else f"{message}\n")
-            self.stream.flush()
+            self.write(f"\r\x1b[K{clean(message)}\n" if self.over else f"{clean(message)}\n")
             return
         now = time.monotonic()
         if now - self.told < (0.1 if self.over else EVERY_SECONDS):
             return
         self.told = now
-        line = f"{100 * fraction:3.0f}%  {message}"
-        self.stream.write(f"\r\x1b[K{line[:100]}" if self.over else f"{line}\n")
-        self.stream.flush()
+        line = f"{100 * fraction:3.0f}%  {clean(message)}"
+        self.write(f"\r\x1b[K{line[:100]}" if self.over else f"{line}\n")
         self.message = message
 
     def end(self) -> None:
         """Leave a clean line behind."""
         if self.over and self.message:
-            self.stream.write("\r\x1b[K")
+            self.write("\r\x1b[K")
+            self.message = ""
+
+    def last(self, sentence: str) -> None:
+        """A sentence after the progress."""
+        self.end()
+        self.write(f"{sentence}\n")
+
+    def write(self, text: str) -> None:
+        """Show text; that nobody can see it is no reason to stop the work."""
+        with suppress(OSError, ValueError):
+            self.stream.write(text)
             self.stream.flush()
 
 
@@ -434,7 +473,7 @@ def table(result: dict[str, Any]) -> str:
     width = max((len(key) for key in result), default=0)
     lines = []
     for key, value in result.items():
-        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
+        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else clean(str(value))
         lines.append(f"{key.replace('_', ' '):<{width}}  {text if len(text) <= 160 else '… (see --json)'}")
     return "\n".join(lines)
 

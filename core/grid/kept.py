@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import MARK, check_replaceable, write_arrays, write_bytes
+from ..files import MARK, check_replaceable, is_ours, write_arrays, write_bytes
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
@@ -35,7 +35,9 @@ class Kept:
         if folder is not None and folder.is_dir():
             check_replaceable(folder)
             for path in folder.iterdir():
-                if path.name != MARK and not path.name.startswith(key):
+                if is_ours(path):  # what a kill left half-written
+                    shutil.rmtree(path, ignore_errors=True)
+                elif path.is_file() and path.name != MARK and not path.name.startswith(key):
                     path.unlink(missing_ok=True)
 
     def read(self, stage: str) -> Iterator[tuple[int, Arrays]]:
