@@ -97,6 +97,12 @@ def _remove(folder: Path) -> None:
             folder.rmdir()
 
 
+def check_own(path: Path) -> None:
+    """Raise SnergError unless `path` is a file itself: what a link points to may be somebody's secret, and must not be published."""
+    if path.is_symlink() or not path.is_file():
+        raise SnergError(f"{path} is a link or no file, and only files of the scene's own are published; put a copy of the file there.")
+
+
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
     with new_file(path) as file:

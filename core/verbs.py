@@ -25,7 +25,7 @@ from .evaluate import background_of, evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
 from .export.reference import write_reference
-from .export.scene import PNG, check_storable, codec_of, is_current, write_scene
+from .export.scene import PNG, check_storable, codec_of, is_current, is_scene, scene_files, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.log import FILE as LOG
 from .field.setting_names import with_values
@@ -266,8 +266,17 @@ def file_names(names: Sequence[str]) -> list[str]:
 def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Result:
     """Write a scene in the reference PNG layout, which the published viewer opens."""
     check_out(out, "reference scene", scene)
-    write_reference(any_scene(scene), out, None, progress)
+    write_reference(published(scene), out, None, progress)
     return {"out": str(out), **info(out)}
+
+
+def published(scene: Path) -> Snerg:
+    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+    opened = any_scene(scene)
+    for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
+        if is_scene(folder):
+            scene_files(folder)
+    return opened
 
 
 def bundle_scene(
@@ -289,7 +298,7 @@ def bundle_scene(
     stored = codec_of(scene) if ours else PNG
     source = scene if ours and codec in (None, stored) else None
     codec = codec or stored
-    written = write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress, codec=codec, source=source)
+    written = write_bundle(published(scene), views, out, single_file=single_file, progress=progress, codec=codec, source=source)
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
 
 

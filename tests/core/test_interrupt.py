@@ -111,7 +111,7 @@ def test_every_verb_stops_at_once_in_every_phase(material, tmp_path, capsys):
     for verb, text in VERBS.items():
         taken = []
         for turn in range(TRIES):
-            out = tmp_path / verb / str(turn) / "out"
+            out = tmp_path / str(len(lines)) / str(turn) / "out"
             out.parent.mkdir(parents=True)
             delay = draw.uniform(0, LONGEST if turn % 2 else LONGEST / 4)
             seconds, stopped = interrupted(text.format(out=out, **material).split(), delay, out)
