@@ -1,14 +1,28 @@
 """The one error that reaches people."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+LONGEST = 1000  # characters of a message; names in files may have any length
+# What could break a line, move the cursor or turn the text round: control characters, line separators, directions of writing.
+CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]+")
+
+
+def clean(text: str) -> str:
+    """Text as one line for a terminal or a panel: without control characters, and without the middle where it is very long."""
+    text = CONTROL.sub(" ", text)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST * 2 // 3]} … {text[-LONGEST // 4 :]}"
+
 
 class SnergError(Exception):
-    """One sentence saying what is wrong, where, and what to do about it.
+    """One sentence saying what is wrong, where, and what to do about it; `clean`, whatever names it quotes.
 
     The command line prints it and exits with 2; an operator reports it and returns CANCELLED.
     """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(clean(sentence))
 
 
 class Cancelled(SnergError):

@@ -24,7 +24,7 @@ from .evaluate import background_of, evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
 from .export.reference import write_reference
-from .export.scene import PNG, check_storable, codec_of, is_current, write_scene
+from .export.scene import PNG, check_storable, codec_of, is_current, is_scene, scene_files, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
@@ -264,8 +264,20 @@ def file_names(names: Sequence[str]) -> list[str]:
 def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Result:
     """Write a scene in the reference PNG layout, which the published viewer opens."""
     check_out(out, "reference scene", scene)
-    write_reference(any_scene(scene), out, None, progress)
+    write_reference(published(scene), out, None, progress)
     return {"out": str(out), **info(out)}
+
+
+def published(scene: Path) -> Snerg:
+    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+
+    def read() -> Snerg:
+        for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
+            if is_scene(folder):
+                scene_files(folder)
+        return any_scene(scene)
+
+    return one_generation(scene, read)
 
 
 @writes_out("a bundle")
@@ -287,7 +299,7 @@ def bundle_scene(
 
     def opened() -> tuple[Snerg, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
-        return any_scene(scene), stored
+        return published(scene), stored
 
     snerg, stored = one_generation(scene, opened)
     source = scene if stored is not None and codec in (None, stored) else None

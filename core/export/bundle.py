@@ -16,7 +16,7 @@ from typing import Any
 
 from ..capture.camera import Camera
 from ..errors import SnergError
-from ..files import json_bytes, new_folder, one_generation, read_json
+from ..files import MARK, json_bytes, new_folder, one_generation, read_json
 from ..grid.snerg import Snerg
 from ..progress import Progress, silent
 from .codecs import CodecSettings
@@ -62,7 +62,7 @@ def write_bundle(
             (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
             (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
             fill(temporary)
-        files = [path for path in temporary.rglob("*") if path.is_file()]
+        files = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
 
 

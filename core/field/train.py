@@ -21,6 +21,7 @@ from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.images import over, to_uint8
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
+from ..files import SAVING
 from ..progress import Note, Progress, silent
 from . import decide, trial
 from .average import EVERY, Average
@@ -43,7 +44,7 @@ Masks = list[np.ndarray | None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
-TELL_EVERY = 0.5  # seconds
+TELL_EVERY = 0.2  # seconds; how long Ctrl-C may wait while steps go on
 
 
 class Scheme(Protocol):
@@ -209,7 +210,7 @@ class Trainer:
         return min(self.elapsed / float(self.settings.seconds or 1), 1.0)
 
     def run(self) -> Iterator[TrainProgress]:
-        """Train to the end, telling how it goes about twice a second. Close the generator to stop; the trainer stays whole.
+        """Train to the end, telling how it goes every TELL_EVERY seconds. Close the generator to stop; the trainer stays whole.
 
         Raises SnergError when several steps in a row are not finite; the parameters are those before them.
         """
@@ -418,7 +419,8 @@ def train(
                     keeper(told)
     except (Cancelled, KeyboardInterrupt):
         if keeper and trainer.step:
-            keeper.save()
+            with SAVING:
+                keeper.save()
         raise
     except RuntimeError as error:  # JAX's: the connection to another process broke
         if trainer.devices.processes == 1:

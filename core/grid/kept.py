@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import MARK, check_replaceable, write_arrays, write_bytes
+from ..files import MARK, check_replaceable, discard, write_arrays, write_bytes
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
@@ -34,7 +34,9 @@ class Kept:
         if folder is not None and folder.is_dir():
             check_replaceable(folder)
             for path in folder.iterdir():
-                if path.name != MARK and not path.name.startswith(key):
+                if path.is_dir():  # what a kill left half-written
+                    discard(path)
+                elif path.name != MARK and not path.name.startswith(key):
                     path.unlink(missing_ok=True)
 
     def read(self, stage: str) -> Iterator[tuple[int, Arrays]]:
