@@ -13,6 +13,7 @@ import tempfile
 import threading
 import time
 import uuid
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
@@ -105,8 +106,10 @@ def check_own(path: Path) -> None:
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
-    with new_file(path) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as part:
+                np.lib.format.write_array(part, np.asarray(array), allow_pickle=False)
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:

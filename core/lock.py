@@ -39,6 +39,7 @@ def one_writer(path: Path, doing: str) -> Iterator[None]:
         descriptor = _acquire(file, path)
         try:
             about = {"pid": os.getpid(), "host": platform.node(), "doing": doing, "since": time.time()}
+            os.ftruncate(descriptor, 0)
             os.write(descriptor, json.dumps(about).encode())
         except OSError:
             _release(descriptor, file)
@@ -71,7 +72,7 @@ def writes_out(doing: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _acquire(file: Path, path: Path) -> int:
-    """The open lock file, locked and empty. Raises SnergError when another has it, OSError when it cannot be opened."""
+    """The open lock file, locked. Raises SnergError when another has it, OSError when it cannot be opened."""
     end = time.monotonic() + PATIENCE
     while True:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -83,7 +84,6 @@ def _acquire(file: Path, path: Path) -> int:
             continue
         try:
             if _lock(descriptor) and _is_at(descriptor, file):
-                os.ftruncate(descriptor, 0)
                 return descriptor
         except BaseException:
             os.close(descriptor)

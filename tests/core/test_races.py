@@ -83,9 +83,10 @@ def rewriting(kind: str, out: Path):
 def test_every_read_is_of_one_generation(tmp_path, kind):
     read, seen = WRITERS[kind][1], []
     with rewriting(kind, tmp_path / "out"):
-        for _ in range(READS):
+        end = time.monotonic() + 30  # a machine that does much else rewrites slowly
+        while len(seen) < READS or (len(set(seen)) < 3 and time.monotonic() < end):
             seen.append(check(read(tmp_path / "out", tmp_path / "page")))
-    assert seen == sorted(seen) and len(set(seen)) > 2
+    assert seen == sorted(seen) and len(set(seen)) >= 3
 
 
 def test_a_folder_replaced_in_the_middle_is_read_again(tmp_path):
