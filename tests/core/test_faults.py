@@ -176,7 +176,7 @@ def run(save: Save, folder: Path, template: Path, at: int | None) -> tuple[Fault
 
 
 def sweep(save: Save, folder: Path, every: int = 1) -> Counter:
-    """A fault at every call in turn, or every n-th; how many, by what was found afterwards. Fails on half a result or anything left behind."""
+    """A fault at every call in turn, or every n-th; how many, by what was found. Fails on half a result or anything left behind."""
     template, place = folder / "template", folder / "place"
     template.mkdir()
     save.begin(template)
