@@ -20,7 +20,8 @@ from .files import cannot_write
 HELD = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}  # what systems answer where another process has the lock
 BEYOND = 2**20  # the byte that is locked on Windows, where nobody else can read what is locked: it lies behind the text
 MAX_TEXT = 4096  # bytes of a lock file that are read
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 PATIENCE = 0.5  # seconds to wait for a first writer that has not written yet who it is, or is just about to end
 
 
