@@ -34,6 +34,7 @@ from .machine import describe_machine
 from .paper import BAKED, PAPER, VARIANTS
 from .pictures import contact_sheet, error_picture
 from .plan import Config, Step, StudySettings, available, steps
+from .plots import needs_matplotlib
 from .report import Findings, html, write_plots
 from .summary import accuracy, csv_of
 from .sweep import Subject, Sweep, field_key
@@ -64,6 +65,8 @@ def study(
     Raises SnergError on bad input, where nothing could be measured in the time, where earlier results are another study's or
     cannot be read, and where no configuration has the target (the report is written all the same); Cancelled when `progress` does.
     """
+    with needs_matplotlib():  # now, and not when all is measured
+        import matplotlib  # noqa: F401
     deadline = time.monotonic() + 60 * settings.minutes
     kind = kind_of(source)
     notes: list[str] = []
@@ -281,6 +284,8 @@ def variants(sweep: Sweep, plan: list[Step], usual: Config, deadline: float, set
 def findings(sweep: Sweep, plan: Sequence[Step], usual: Config, about: dict[str, Any], left_out: list[str]) -> Findings:
     """What the rows tell; where the usual configuration is not measured, the best one takes its place."""
     rows = {step.config.key: sweep.rows[step.config.key] for step in plan if step.config.key in sweep.rows}
+    if not rows:
+        raise SnergError("No configuration was measured, so that there is nothing to report; give more minutes.")
     alone = sorted((row for row in sweep.rows.values() if row["config"] is None), key=lambda row: row.get("trained_seconds") or 0)
     taken = rows.get(usual.key) or max(rows.values(), key=lambda row: row["psnr"])
     title = f"What accuracy costs: {Path(about['path']).name}"
