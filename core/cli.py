@@ -10,14 +10,12 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn, TextIO, cast
 
 from . import interrupt, predict, verbs
@@ -312,7 +310,7 @@ def refusals() -> Iterator[None]:
 
 
 def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) -> dict[str, Any]:
-    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.run); a second Ctrl-C does not wait even for saving.
+    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.deadline); a second Ctrl-C does not wait even for saving.
 
     Elsewhere than in the main thread the keyboard is not ours to listen to.
     """
@@ -326,24 +324,8 @@ def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) ->
     def waiting() -> None:
         terminal.last("snerg: Saving what is finished; press Ctrl-C again to leave without it.")
 
-    with keyboard(asked, leave):
-        return interrupt.run(lambda: work(interrupt.watched(terminal, asked)), asked, leave, waiting)
-
-
-@contextmanager
-def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None]:
-    """The first Ctrl-C sets `asked`; the next ones call `again`."""
-
-    def pressed(number: int, frame: FrameType | None) -> None:
-        if asked.is_set():
-            again()
-        asked.set()
-
-    before = signal.signal(signal.SIGINT, pressed)
-    try:
-        yield
-    finally:  # None: a handler that was installed in C, as Blender's is, cannot be put back from here
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+    with interrupt.keyboard(asked, leave), interrupt.deadline(asked, leave, waiting):
+        return work(interrupt.watched(terminal, asked))
 
 
 def write_result(text: str) -> None:

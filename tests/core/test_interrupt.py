@@ -1,6 +1,5 @@
 """Ctrl-C ends every verb within a second, in every phase of it, and leaves nothing half-written."""
 
-import json
 import os
 import random
 import signal
@@ -20,6 +19,7 @@ from snerg.core.errors import Cancelled
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene import write_scene
 from snerg.core.files import SAVING
+from snerg.core.interrupt import deadline, keyboard, watched
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc to see how far a start is")
 ROOT = Path(__file__).parents[2]
@@ -188,21 +188,34 @@ def test_a_second_press_does_not_wait(tmp_path):
     assert code == 130 and said.endswith("snerg: Stopped.\n") and seconds < 1 + LOOSE and not list(tmp_path.iterdir())
 
 
-def test_a_job_can_use_it_too():
-    """Any event asks: the end of a job's input does."""
-    from snerg.core.interrupt import run, watched
-
+def test_any_event_asks():
+    """The end of a job's input, as well as the keyboard."""
     asked, left = threading.Event(), []
+    progress = watched(lambda fraction, message: None, asked)
     threading.Timer(0.2, asked.set).start()
-
-    def work() -> None:
-        progress = watched(lambda fraction, message: None, asked)
+    with pytest.raises(Cancelled), deadline(asked, lambda: left.append(1), lambda: None):
         while True:
             progress(0.0, "")
             time.sleep(0.01)
-
-    with pytest.raises(Cancelled):
-        run(work, asked, lambda: left.append(1), lambda: None)
-    assert run(lambda: json.dumps(1), asked, lambda: left.append(1), lambda: None) == "1" and not left
-    assert SAVING.acquire(timeout=0)
+    with deadline(asked, lambda: left.append(1), lambda: None):
+        pass  # done before the deadline
+    assert not left and SAVING.acquire(timeout=0)
     SAVING.release()
+    with deadline(asked, lambda: left.append(1), lambda: None):
+        time.sleep(1.5)
+    assert left
+
+
+def test_the_keyboard_is_heard_in_the_middle_of_a_call_and_given_back():
+    before, threads = signal.getsignal(signal.SIGINT), threading.active_count()
+    asked, again = threading.Event(), threading.Event()
+    with keyboard(asked, again.set):
+        progress = watched(lambda fraction, message: None, asked)
+        progress(0.1, "one")
+        signal.raise_signal(signal.SIGINT)
+        assert asked.wait(5) and not again.is_set()
+        with pytest.raises(Cancelled):
+            progress(0.2, "two")
+        signal.raise_signal(signal.SIGINT)
+        assert again.wait(5)
+    assert signal.getsignal(signal.SIGINT) is before and threading.active_count() == threads
