@@ -20,7 +20,7 @@ from typing import Any, NoReturn, TextIO, cast
 
 from . import interrupt, predict, verbs
 from .capture.dataset import DatasetOptions
-from .errors import Cancelled, SnergError, clean, needs_jax
+from .errors import Cancelled, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
@@ -331,6 +331,7 @@ def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) ->
 def write_result(text: str) -> None:
     """A line or more on standard output. Raises SnergError when nobody reads it, or a disk is full."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    text = "\n".join(printable(line) for line in text.split("\n"))
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)
     except OSError as error:
@@ -463,7 +464,7 @@ def table(result: dict[str, Any]) -> str:
     width = max((len(key) for key in result), default=0)
     lines = []
     for key, value in result.items():
-        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else clean(str(value))
+        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
         lines.append(f"{key.replace('_', ' '):<{width}}  {text if len(text) <= 160 else '… (see --json)'}")
     return "\n".join(lines)
 

@@ -104,6 +104,11 @@ def test_the_launcher_stops_while_it_starts(material, tmp_path):
     assert stopped and seconds < LOOSE
 
 
+def test_nothing_heavy_is_imported_before_the_keyboard_is_heard():
+    script = "import sys, snerg.core.start; sys.exit('numpy' in sys.modules or 'snerg.core.cli' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script]).returncode == 0
+
+
 @pytest.mark.slow
 def test_every_verb_stops_at_once_in_every_phase(material, tmp_path, capsys):
     """Seeded moments all over each verb; prints p50, p99 and the longest of the latencies."""
