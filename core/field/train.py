@@ -428,7 +428,8 @@ def train(
         raise
     field = trainer.field()
     if keeper:
-        write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
+        with SAVING:
+            write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field
 
 

@@ -137,7 +137,8 @@ def digest(path: Path) -> str:
     """Of the bytes of a file, or of all files of a folder but the log of a training."""
     found = hashlib.sha256()
     for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if part.is_file() and part.name not in (MARK, "log.jsonl"):
+        hidden = any(name.startswith(".") for name in part.relative_to(path).parts)  # our mark, and what kills left half-written
+        if part.is_file() and not hidden and part.name != "log.jsonl":
             found.update(part.name.encode())
             with open(part, "rb") as file:
                 found.update(hashlib.file_digest(file, "sha256").digest())

@@ -12,7 +12,7 @@ from snerg.core.errors import SnergError
 from snerg.core.grid.bake import BakeSettings
 from snerg.core.study.machine import describe_machine
 from snerg.core.study.plan import Config, steps
-from snerg.core.study.study import findings, study, write
+from snerg.core.study.study import digest, findings, study, write
 
 USUAL = Config(BakeSettings(resolution=24))
 PLAN = steps(USUAL, True, True, True, ["webp", "jpeg"])
@@ -83,6 +83,17 @@ def test_text_in_a_row_is_no_html(tmp_path):
     evil = "<script>alert(1)</script>"
     rows = measured([1.0, 2.0, 3.0], peak_megabytes=evil, views=evil)
     assert "<script" not in reported(rows, tmp_path)[0]
+
+
+def test_what_a_kill_left_is_no_other_source(tmp_path):
+    """A study goes on although the folder of its field holds half of a file now."""
+    (tmp_path / "field.npz").write_bytes(b"field")
+    before = digest(tmp_path)
+    (tmp_path / ".field.npz.0123abcd.part").mkdir()
+    (tmp_path / ".field.npz.0123abcd.part" / "file").write_bytes(b"half")
+    assert digest(tmp_path) == before
+    (tmp_path / "field.npz").write_bytes(b"other")
+    assert digest(tmp_path) != before
 
 
 def test_without_matplotlib_nothing_is_measured(tmp_path, monkeypatch):
