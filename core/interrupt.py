@@ -20,7 +20,7 @@ from .errors import Cancelled
 from .files import SAVING, remove_unfinished
 from .progress import Progress
 
-GRACE = 0.6  # seconds that work has to end by itself
+GRACE = 0.5  # seconds that work has to end by itself
 PATIENCE = 60.0  # seconds that it may take longer to save
 TICK = 0.05  # seconds between two looks
 END = 0  # no signal has this number
