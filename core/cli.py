@@ -10,19 +10,17 @@ import argparse
 import json
 import math
 import os
-import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any, NoReturn, TextIO, cast
 
 from . import interrupt, predict, verbs
 from .capture.dataset import DatasetOptions
-from .errors import Cancelled, SnergError, clean, needs_jax
+from .errors import Cancelled, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
@@ -312,7 +310,7 @@ def refusals() -> Iterator[None]:
 
 
 def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) -> dict[str, Any]:
-    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.run); a second Ctrl-C does not wait even for saving.
+    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.deadline); a second Ctrl-C does not wait even for saving.
 
     Elsewhere than in the main thread the keyboard is not ours to listen to.
     """
@@ -326,29 +324,14 @@ def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) ->
     def waiting() -> None:
         terminal.last("snerg: Saving what is finished; press Ctrl-C again to leave without it.")
 
-    with keyboard(asked, leave):
-        return interrupt.run(lambda: work(interrupt.watched(terminal, asked)), asked, leave, waiting)
-
-
-@contextmanager
-def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None]:
-    """The first Ctrl-C sets `asked`; the next ones call `again`."""
-
-    def pressed(number: int, frame: FrameType | None) -> None:
-        if asked.is_set():
-            again()
-        asked.set()
-
-    before = signal.signal(signal.SIGINT, pressed)
-    try:
-        yield
-    finally:  # None: a handler that was installed in C, as Blender's is, cannot be put back from here
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+    with interrupt.keyboard(asked, leave), interrupt.deadline(asked, leave, waiting):
+        return work(interrupt.watched(terminal, asked))
 
 
 def write_result(text: str) -> None:
     """A line or more on standard output. Raises SnergError when nobody reads it, or a disk is full."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    text = "\n".join(printable(line) for line in text.split("\n"))
     try:
         print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)
     except OSError as error:
@@ -481,7 +464,7 @@ def table(result: dict[str, Any]) -> str:
     width = max((len(key) for key in result), default=0)
     lines = []
     for key, value in result.items():
-        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else clean(str(value))
+        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
         lines.append(f"{key.replace('_', ' '):<{width}}  {text if len(text) <= 160 else '… (see --json)'}")
     return "\n".join(lines)
 

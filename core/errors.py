@@ -9,9 +9,14 @@ LONGEST = 1000  # characters of a message; names in files may have any length
 CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]+")
 
 
+def printable(text: str) -> str:
+    """Text as one line for a terminal: without control characters."""
+    return CONTROL.sub(" ", text)
+
+
 def clean(text: str) -> str:
-    """Text as one line for a terminal or a panel: without control characters, and without the middle where it is very long."""
-    text = CONTROL.sub(" ", text)
+    """Text as one line of a length that people read: `printable`, without the middle where it is very long."""
+    text = printable(text)
     return text if len(text) <= LONGEST else f"{text[: LONGEST * 2 // 3]} … {text[-LONGEST // 4 :]}"
 
 

@@ -186,7 +186,7 @@ def scene_files(folder: Path) -> list[Path]:
 def copy_scene_files(folder: Path, to: Path) -> None:
     """The files of a scene as they are."""
     for path in scene_files(folder):
-        shutil.copyfile(path, to / path.name)
+        shutil.copyfile(path, to / path.name, follow_symlinks=False)  # nor one that has just become a link
 
 
 def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:

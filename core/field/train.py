@@ -419,8 +419,7 @@ def train(
                     keeper(told)
     except (Cancelled, KeyboardInterrupt):
         if keeper and trainer.step:
-            with SAVING:
-                keeper.save()
+            keeper.save()
         raise
     except RuntimeError as error:  # JAX's: the connection to another process broke
         if trainer.devices.processes == 1:
@@ -434,7 +433,8 @@ def train(
         raise
     field = trainer.field()
     if keeper:
-        write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
+        with SAVING:
+            write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field
 
 
@@ -476,6 +476,7 @@ class Keeper:
     def save(self) -> None:
         """Put the trainer's field and state on disk in place of the last, whole."""
         began = time.perf_counter()
-        write_field(self.trainer.field(), self.folder, self.trainer.state())
+        with SAVING:
+            write_field(self.trainer.field(), self.folder, self.trainer.state())
         self.saved = time.perf_counter()
         self.cost = self.saved - began

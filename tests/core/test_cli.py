@@ -25,7 +25,6 @@ from snerg.core.export.scene import write_scene
 from snerg.core.field.checkpoint import read_field
 from snerg.core.grid.bake import BakeSettings
 from snerg.core.grid.march import MarchSettings
-from snerg.core.interrupt import watched
 from snerg.core.jobs.runner import start_verb
 
 
@@ -323,21 +322,6 @@ def test_the_keyboard_stops_a_training_and_keeps_it(dataset, tmp_path):
     assert child.returncode == cli.EXIT_STOPPED, errors
     assert "kept" in errors and "Traceback" not in errors
     assert read_field(out).about["steps"] > 0
-
-
-def test_the_keyboard_is_heard_at_once_and_given_back():
-    before = signal.getsignal(signal.SIGINT)
-    asked, again = threading.Event(), []
-    with cli.keyboard(asked, lambda: again.append(1)):
-        progress = watched(lambda fraction, message: None, asked)
-        progress(0.1, "one")
-        signal.raise_signal(signal.SIGINT)
-        assert asked.is_set() and not again
-        with pytest.raises(cli.Cancelled):
-            progress(0.2, "two")
-        signal.raise_signal(signal.SIGINT)
-        assert again
-    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_a_thread_leaves_the_keyboard_alone(scene, capsys):
