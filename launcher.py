@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 IMPORT_PATH = "SNERG_IMPORT_PATH"
+JOB = "SNERG_JOB"  # set where this process is a job, which first waits for its turn
 
 
 def load(root: Path, name: str = "snerg") -> None:
@@ -34,6 +35,8 @@ def main() -> int:
         if entry not in sys.path and entry != own:
             sys.path.append(entry)
     load(Path(__file__).resolve().parent)
+    if os.environ.get(JOB) and (stopped := importlib.import_module("snerg.core.jobs.protocol").await_turn()):
+        return int(stopped)
     code: int = importlib.import_module("snerg.core.cli").main(sys.argv[1:])
     return code
 
