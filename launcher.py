@@ -14,6 +14,7 @@ import sys
 from pathlib import Path
 
 IMPORT_PATH = "SNERG_IMPORT_PATH"
+RENDER = "--render-job"  # in place of a verb, by which Blender renders a dataset (snerg_addon/render_job.py)
 JOB = "SNERG_JOB"  # set where this process is a job, which first waits for its turn
 
 
@@ -37,6 +38,8 @@ def main() -> int:
     load(Path(__file__).resolve().parent)
     if os.environ.get(JOB) and (stopped := importlib.import_module("snerg.core.jobs.protocol").await_turn()):
         return int(stopped)
+    if sys.argv[-1] == RENDER:
+        return int(importlib.import_module("snerg.snerg_addon.render_job").main())
     code: int = importlib.import_module("snerg.core.cli").main(sys.argv[1:])
     return code
 

@@ -8,6 +8,7 @@
     stop          there once it was asked to stop
     lock          locked by the job's own process while it lives: the system lets go of it however the process ends
     taken         there once its result was taken in
+    input         a folder of what it needs, deleted when it ends
 
 `<project>/jobs/turn` is locked by the job whose turn it is. Jobs of one project run one after another, in the order of their names.
 """
@@ -29,7 +30,17 @@ from ..errors import SnergError
 from ..files import cannot_write, json_bytes
 
 VARIABLE = "SNERG_JOB"  # of the environment: a job's own folder
-JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN = "jobs", "job.json", "events.jsonl", "log.txt", "stop", "lock", "taken", "turn"
+JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
+    "jobs",
+    "job.json",
+    "events.jsonl",
+    "log.txt",
+    "stop",
+    "lock",
+    "taken",
+    "turn",
+    "input",
+)
 STARTING_SECONDS = 60.0  # a process may take from its start until it has locked its lock
 KEPT = 20  # folders of jobs that ended and were taken in
 MAX_RECORD = 2**24  # bytes

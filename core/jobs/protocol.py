@@ -45,11 +45,12 @@ class Progress(Protocol):
 class JobReporter:
     """The job's side. Call it with (fraction, message): it tells whoever watches, or raises Cancelled.
 
-    stream: where the lines go. stopping: set when the job shall stop.
+    stream: where the lines go. stopping: set when the job shall stop. grace_seconds: until it is ended then.
     """
 
     def __init__(self, stream: TextIO, stopping: threading.Event) -> None:
         self.stopping = stopping
+        self.grace_seconds = GRACE_SECONDS
         self._stream = stream
         self._lock = threading.Lock()
 
@@ -154,7 +155,7 @@ def _listen(folder: Path, reporter: JobReporter) -> None:
     while not (folder / folders.STOP).exists():
         time.sleep(LISTEN_SECONDS)
     reporter.stopping.set()
-    time.sleep(GRACE_SECONDS)
+    time.sleep(reporter.grace_seconds)
     reporter.cancelled("Stopped; what it had not yet saved is lost.")
     os._exit(EXIT_CANCELLED)
 

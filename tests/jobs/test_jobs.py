@@ -101,7 +101,7 @@ def test_cancel_is_heard_within_a_second(tmp_path):
 
 
 def test_a_stubborn_job_ends_itself(tmp_path):
-    child = job("protocol.GRACE_SECONDS = 0.3\nprogress(0, 'working'); time.sleep(60)").begin(tmp_path, {})
+    child = job("progress.grace_seconds = 0.3\nprogress(0, 'working'); time.sleep(60)").begin(tmp_path, {})
     until(lambda: works(child))
     child.cancel()
     with pytest.raises(Cancelled, match="not yet saved is lost"):
