@@ -51,6 +51,7 @@ class LongVerb:
             work = self.start(context, project)
             if isinstance(work, Job):
                 work.begin(project.folder, record_of(self, scene), attached=True)
+                assert work.folder is not None
                 folders.take(work.folder)  # by this script, whatever comes of it
             return self._say(self.finish(scene, project, work.wait(_print_progress(self.label))))
         except SnergError as error:
@@ -79,8 +80,8 @@ class LongVerb:
 
 def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
     """Start an operator's work beside everything else. Raises SnergError when it cannot be, or is under way already."""
-    scene, project = context.scene, project_of(context.scene)
-    others = [other for other in activity.current(project.folder) if other.operator == verb.bl_idname]
+    scene, project, operator = context.scene, project_of(context.scene), type(verb).bl_idname  # of an instance it is SNERG_OT_...
+    others = [other for other in activity.current(project.folder) if other.operator == operator]
     if any(not other.outlives for other in others):
         raise SnergError(f"{verb.label} is still under way; wait for it or stop it first.")
     work = verb.start(context, project)
@@ -88,7 +89,7 @@ def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
         if any(isinstance(other.work, Job) and other.work.arguments == work.arguments for other in others):
             raise SnergError(f"{verb.label} with these settings is already under way; wait for it or stop it first.")
         work.begin(project.folder, record_of(verb, scene))
-    begun = Activity(verb.step, verb.label, work, verb.bl_idname, project.folder, scene.name, scene.session_uid)
+    begun = Activity(verb.step, verb.label, work, operator, project.folder, scene.name, scene.session_uid)
     activity.begin(begun)
     redraw()
     return begun
@@ -96,7 +97,7 @@ def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
 
 def record_of(verb: LongVerb, scene: bpy.types.Scene) -> dict[str, Any]:
     """What a job's folder says of it."""
-    return {"operator": verb.bl_idname, "step": verb.step, "label": verb.label, "scene": scene.name, "blend": bpy.data.filepath}
+    return {"operator": type(verb).bl_idname, "step": verb.step, "label": verb.label, "scene": scene.name, "blend": bpy.data.filepath}
 
 
 MISSING = {

@@ -170,6 +170,28 @@ def test_what_blender_does_itself_ends_with_its_scene(scene, tmp_path):
     assert activity.current() == [] and work.cancelling
 
 
+def test_an_operator_that_blender_made_starts_a_job_which_its_class_finishes(scene):
+    """Blender gives instances another bl_idname than their class: a job goes by the one that finds the class again."""
+
+    class SNERG_OT_launch(bpy.types.Operator):
+        bl_idname, bl_label, step, label = "snerg.launch", "Launch", "field", "Training"
+
+        def start(self, context, project):
+            return Job([sys.executable, "-c", ""], job_environment())
+
+        def execute(self, context):
+            begun.append(job_runner.launch(self, context))
+            return {"FINISHED"}
+
+    begun: list[Activity] = []
+    bpy.utils.register_class(SNERG_OT_launch)
+    try:
+        assert bpy.ops.snerg.launch() == {"FINISHED"}
+    finally:
+        bpy.utils.unregister_class(SNERG_OT_launch)
+    assert begun[0].operator == "snerg.launch" == folders.read_record(begun[0].work.folder)["operator"]
+
+
 def test_damaged_results_are_a_sentence(scene, tmp_path):
     folder = folders.new_job(project_of(scene).folder, {"label": "Training", "operator": "snerg.render_dataset", "scene": "gone"})
     (folder / folders.EVENTS).write_text('{"result": {}}\n')
