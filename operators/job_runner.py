@@ -19,13 +19,14 @@ class LongVerb:
     """Mixed into an operator, which says what to start and what to do with the result.
 
     step: the panel that shows it. label: what it is called while it runs. needs: the step of the project that must
-    be there first.
+    be there first. queues: whether it can be started while a job makes that, behind which it then waits.
     """
 
     bl_idname: str
     step: ClassVar[str]
     label: ClassVar[str]
     needs: ClassVar[str] = ""
+    queues: ClassVar[bool] = False
 
     def start(self, context: bpy.types.Context, project: Project) -> activity.Work:
         """The work: begun, or a job to begin. Raises SnergError when something that it needs is missing."""
@@ -82,7 +83,7 @@ def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
     """Start an operator's work beside everything else. Raises SnergError when it cannot be, or is under way already."""
     scene, project, operator = context.scene, project_of(context.scene), type(verb).bl_idname  # of an instance it is SNERG_OT_...
     others = [other for other in activity.current(project.folder) if other.operator == operator]
-    if any(not other.outlives for other in others):
+    if any(not other.is_job for other in others):
         raise SnergError(f"{verb.label} is still under way; wait for it or stop it first.")
     work = verb.start(context, project)
     if isinstance(work, Job):
@@ -108,8 +109,10 @@ MISSING = {
 
 
 def has_needed(verb: type[Any], context: bpy.types.Context) -> bool:
-    """Whether the step that `verb.needs` is there; sets the poll message where it is not."""
-    if verb.needs and not project_of(context.scene).has(verb.needs):
+    """Whether the step that `verb.needs` is there, or a job that this one can wait for makes it; sets the poll message where not."""
+    project = project_of(context.scene)
+    coming = verb.queues and any(busy.is_job and busy.step == verb.needs for busy in activity.current(project.folder))
+    if verb.needs and not coming and not project.has(verb.needs):
         verb.poll_message_set(MISSING[verb.needs])
         return False
     return True

@@ -36,7 +36,7 @@ class SNERG_OT_quit(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask where there is something to ask."""
-        if not any(begun.outlives for begun in activity.current()):
+        if not any(begun.is_job for begun in activity.current()):
             return self.execute(context)
         return set(context.window_manager.invoke_props_dialog(self, title="Quit Blender?", confirm_text="Quit"))
 
@@ -44,7 +44,9 @@ class SNERG_OT_quit(bpy.types.Operator):
         """What is under way, and the choice."""
         layout = self.layout
         for begun in activity.current():
-            layout.label(text=f"{begun.label}: {begun.work.message}", icon="SORTTIME")
+            layout.label(text=f"{begun.label}: {begun.work.message}", icon="SORTTIME" if begun.outlives else "ERROR")
+            if not begun.outlives:
+                layout.label(text="It ends in any case: " + ("the file was never saved" if begun.is_job else "Blender does it itself"))
         layout.prop(self, "jobs", expand=True)
 
     def execute(self, _context: bpy.types.Context) -> set[str]:

@@ -43,10 +43,10 @@ def find() -> None:
     scenes = {project_of(scene).folder: scene for scene in reversed(bpy.data.scenes)}
     sessions = {scene.session_uid for scene in bpy.data.scenes}
     for begun in activity.current():
-        if not begun.outlives and begun.session not in sessions:
+        if not begun.is_job and begun.session not in sessions:
             begun.work.cancel()
             activity.end(begun)
-        elif begun.outlives and begun.project not in scenes:
+        elif begun.is_job and begun.project not in scenes:
             activity.end(begun)
     known = {begun.key for begun in activity.current()}
     for project, scene in scenes.items():

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import bpy
+
 from ..core.errors import Cancelled, SnergError
 from ..core.jobs.runner import Job, State, outcome
 
@@ -164,9 +166,14 @@ class Activity:
         return str(folder) if folder else f"{id(self.work):x}"
 
     @property
-    def outlives(self) -> bool:
-        """Whether it goes on when Blender closes."""
+    def is_job(self) -> bool:
+        """Whether it is a process of its own, or else what Blender does itself."""
         return isinstance(self.work, Job)
+
+    @property
+    def outlives(self) -> bool:
+        """Whether it goes on when Blender closes: a job, unless Blender deletes its folder, as it does with its temporary one."""
+        return self.is_job and Path(bpy.app.tempdir) not in self.project.parents
 
 
 _activities: list[Activity] = []
@@ -203,7 +210,7 @@ def said(project: Path) -> tuple[str, bool] | None:
 def stop() -> None:
     """Forget everything. What Blender does itself is stopped; jobs go on, and are found again."""
     for activity in list(_activities):
-        if not activity.outlives:
+        if not activity.is_job:
             activity.work.cancel()
         end(activity)
     _last.clear()

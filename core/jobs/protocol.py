@@ -8,8 +8,9 @@ which is the file `events.jsonl` of the job's folder (folder.py):
     {"error": "one sentence"}                              exit 2
     {"cancelled": "one sentence"}                          exit 3
 
-It hears one thing: stop, when the file `stop` appears in its folder. A job that somebody waits for also stops at the end of its
-standard input, a pipe that the system closes when the one who waits dies; any other job outlives who started it.
+It hears one thing: stop, when the file `stop` appears in its folder, or the folder is gone. A job that somebody waits for
+also stops at the end of its standard input, a pipe that the system closes when the one who waits dies; any other job outlives who
+started it.
 """
 
 from __future__ import annotations
@@ -151,8 +152,8 @@ def _in_background(listen: Callable[..., None], *arguments: Any) -> None:
 
 
 def _listen(folder: Path, reporter: JobReporter) -> None:
-    """Until the job is asked to stop; then end it, if it does not end itself."""
-    while not (folder / folders.STOP).exists():
+    """Until the job is asked to stop, or its folder is deleted; then end it, if it does not end itself."""
+    while folder.exists() and not (folder / folders.STOP).exists():
         time.sleep(LISTEN_SECONDS)
     reporter.stopping.set()
     time.sleep(reporter.grace_seconds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -182,6 +183,15 @@ def test_a_job_that_was_found_is_cancelled_as_any(tmp_path):
     assert Job.found(child.folder).cancelling
     assert until(lambda: not child.poll()) < 1.0
     assert child.state == "cancelled"
+
+
+def test_a_job_whose_folder_is_deleted_ends(tmp_path):
+    """As Blender deletes its temporary folder, in which files that were never saved have their projects."""
+    child = job(WORKS_ON).begin(tmp_path / "project", {})
+    until(lambda: works(child))
+    shutil.rmtree(tmp_path / "project")
+    until(lambda: not child.poll())
+    assert not (tmp_path / "project").exists()
 
 
 @posix
