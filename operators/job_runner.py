@@ -125,11 +125,15 @@ def _print_progress(label: str) -> Any:
     return say
 
 
-def redraw() -> None:
-    """Draw the sidebars and the status bars again, so that they show what is new."""
+def redraw() -> bool:
+    """Draw the sidebars and the status bars again, so that they show what is new; False where a status bar has to wait."""
+    drawn = True
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
                 area.tag_redraw()
-        if not window.modal_operators:  # the status bar may hold a text of theirs, which this would take away
+        if window.modal_operators:  # the status bar may hold a text of theirs, which this would take away
+            drawn = False
+        else:
             window.workspace.status_text_set_internal(None)
+    return drawn

@@ -22,17 +22,19 @@ from .job_runner import LongVerb, redraw
 
 TICK_SECONDS = 0.2
 IDLE_SECONDS = 1.0  # between looks where nothing is under way
+_stale = False  # whether something that is shown has changed since
 
 
 def tick() -> float:
     """What the timer does; returns the seconds until it shall do it again."""
+    global _stale
     try:
-        shown = bool(activity.current())
+        _stale = _stale or bool(activity.current())
         find()
         for begun in activity.current():
             follow(begun)
-        if shown or activity.current():
-            redraw()
+        if _stale or activity.current():
+            _stale = not redraw()
     except Exception:  # a timer that raises is never called again, and nothing would be taken in any more
         traceback.print_exc()
     return TICK_SECONDS if activity.current() else IDLE_SECONDS
@@ -76,7 +78,7 @@ def follow(begun: Activity) -> None:
     if work.state == "done":
         activity.say(begun.project, *take_in(begun))
     else:
-        activity.say(begun.project, work.error, False)
+        activity.say(begun.project, f"{begun.label}: {work.error}", False)
         if isinstance(work, Job) and work.state == "failed":
             print(*work.log, sep="\n")
 

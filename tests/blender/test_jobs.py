@@ -120,6 +120,15 @@ def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
     assert activity.current() == [] and activity.said(project.folder) is None
 
 
+def test_every_status_bar_shows_it_and_nothing_is_left_behind(scene):
+    """What is drawn is asked for each time, in every workspace; no text is set that would have to be taken back."""
+    header = bpy.types.STATUSBAR_HT_header
+    assert watch.draw_status in header.draw._draw_funcs
+    watch.unregister()
+    assert watch.draw_status not in header.draw._draw_funcs
+    watch.register()
+
+
 def test_a_job_of_another_project_is_not_shown(scene, tmp_path):
     launch("snerg.train", slow(tmp_path / "go", {}))
     mine = scene.snerg.folder
@@ -137,7 +146,7 @@ def test_the_button_stops_the_job_that_it_names(scene, tmp_path):
     assert bpy.ops.snerg.cancel(work=second.key) == {"FINISHED"}
     until(lambda: second not in activity.current())
     assert first in activity.current() and not first.work.cancelling
-    assert activity.said(project_of(scene).folder) == ("Stopped as you asked, before it began.", False)
+    assert activity.said(project_of(scene).folder) == ("Training: Stopped as you asked, before it began.", False)
     assert bpy.ops.snerg.cancel() == {"FINISHED"}
     until(lambda: not activity.current())
     assert not bpy.ops.snerg.cancel.poll()
