@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -37,6 +37,14 @@ from snerg.core.jobs.runner import Job
 """
 WORKS_ON = "for k in range(10**6): progress(0.5, 'working'); time.sleep(0.01)"
 posix = pytest.mark.skipif(os.name != "posix", reason="a POSIX signal")
+
+
+@pytest.fixture(autouse=True)
+def nothing_runs_on(tmp_path: Path) -> Iterator[None]:
+    """Jobs outlive who started them: also a test that failed."""
+    yield
+    for lock in tmp_path.rglob(folders.LOCK):
+        (lock.parent / folders.STOP).touch()
 
 
 def source(work: str) -> str:
