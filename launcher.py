@@ -14,6 +14,8 @@ import sys
 from pathlib import Path
 
 IMPORT_PATH = "SNERG_IMPORT_PATH"
+RENDER = "--render-job"  # in place of a verb, by which Blender renders a dataset (snerg_addon/render_job.py)
+JOB = "SNERG_JOB"  # set where this process is a job, which first waits for its turn
 
 
 def load(root: Path, name: str = "snerg") -> None:
@@ -34,6 +36,10 @@ def main() -> int:
         if entry not in sys.path and entry != own:
             sys.path.append(entry)
     load(Path(__file__).resolve().parent)
+    if os.environ.get(JOB) and (stopped := importlib.import_module("snerg.core.jobs.protocol").await_turn()):
+        return int(stopped)
+    if sys.argv[-1] == RENDER:
+        return int(importlib.import_module("snerg.snerg_addon.render_job").main())
     code: int = importlib.import_module("snerg.core.start").main(sys.argv[1:])
     return code
 

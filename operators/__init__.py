@@ -19,6 +19,7 @@ def classes() -> tuple[type[Any], ...]:
         import_scene,
         open_folder,
         preview,
+        quit,
         render_dataset,
         study,
         train,
@@ -26,6 +27,7 @@ def classes() -> tuple[type[Any], ...]:
 
     return (
         render_dataset.SNERG_OT_render_dataset,
+        render_dataset.SNERG_OT_use_views,
         import_dataset.SNERG_OT_import_dataset,
         train.SNERG_OT_train,
         import_field.SNERG_OT_import_field,
@@ -38,5 +40,6 @@ def classes() -> tuple[type[Any], ...]:
         export_scene.SNERG_OT_export_scene,
         export_web.SNERG_OT_export_web,
         cancel.SNERG_OT_cancel,
+        quit.SNERG_OT_quit,
         open_folder.SNERG_OT_open_folder,
     )

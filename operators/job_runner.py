@@ -1,4 +1,4 @@
-"""How every long verb runs: blocking when a script or background Blender calls it, with a timer, progress and Esc in the window."""
+"""How every long verb runs: blocking when a script or background Blender calls it, beside everything else in the window."""
 
 from __future__ import annotations
 
@@ -8,39 +8,40 @@ from typing import Any, ClassVar
 import bpy
 
 from ..core.errors import Cancelled, SnergError
+from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
 from ..snerg_addon import activity
+from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import Project, project_of
-
-TICK_SECONDS = 0.2
 
 
 class LongVerb:
     """Mixed into an operator, which says what to start and what to do with the result.
 
     step: the panel that shows it. label: what it is called while it runs. needs: the step of the project that must
-    be there first.
+    be there first. queues: whether it can be started while a job makes that, behind which it then waits.
     """
 
+    bl_idname: str
     step: ClassVar[str]
     label: ClassVar[str]
     needs: ClassVar[str] = ""
+    queues: ClassVar[bool] = False
 
     def start(self, context: bpy.types.Context, project: Project) -> activity.Work:
-        """Begin the work. Raises SnergError when something that it needs is missing."""
+        """The work: begun, or a job to begin. Raises SnergError when something that it needs is missing."""
         raise NotImplementedError
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Take the result in, and say in one sentence what came of it. Raises SnergError."""
+        """Take the result in, and say in one sentence what came of it. Raises SnergError.
+
+        It is also called for a job that an earlier session started: of the operator it may use what the class says and `report`.
+        """
         raise NotImplementedError
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Blender's question whether the verb can run; the message says what is in the way."""
-        busy = activity.current()
-        if busy is not None:
-            cls.poll_message_set(f"{busy.label} is still under way")  # type: ignore[attr-defined]
-            return False
         return has_needed(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -49,61 +50,23 @@ class LongVerb:
         work: activity.Work | None = None
         try:
             work = self.start(context, project)
+            if isinstance(work, Job):
+                work.begin(project.folder, record_of(self, scene), attached=True)
+                assert work.folder is not None
+                folders.take(work.folder)  # by this script, whatever comes of it
             return self._say(self.finish(scene, project, work.wait(_print_progress(self.label))))
         except SnergError as error:
             return self._fail(error, work)
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Do it beside everything else, or wait where there is no window."""
+        """Start it and leave it to the timer (watch.py), or wait where there is no window."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
-        self._scene_name, self._project = context.scene.name, project_of(context.scene)
         try:
-            self._activity = activity.Activity(self.step, self.label, self.start(context, self._project))
-            activity.begin(self._activity)
+            launch(self, context)
         except SnergError as error:
             return self._fail(error, None)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(TICK_SECONDS, window=context.window)
-        manager.modal_handler_add(self)
-        redraw()
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Every event of the window while it runs: only the timer's and Esc are ours."""
-        work = self._activity.work
-        if event.type == "ESC" and event.value == "PRESS" and not work.cancelling:
-            work.cancel()
-            redraw()
-            return {"RUNNING_MODAL"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        running = work.poll()
-        said = f"SNeRG: {self.label}, {work.fraction:.0%}. {work.message}. Esc stops it"
-        context.workspace.status_text_set(said if running else None)
-        redraw()
-        if running:
-            return {"PASS_THROUGH"}
-        self._leave(context)
-        if work.state != "done":
-            return self._fail(Cancelled(work.error) if work.state == "cancelled" else SnergError(work.error), work)
-        scene = bpy.data.scenes.get(self._scene_name) or context.scene
-        try:
-            return self._say(self.finish(scene, self._project, work.result))
-        except SnergError as error:
-            return self._fail(error, work)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator itself: another file is loaded, or Blender closes."""
-        self._activity.work.cancel()
-        self._leave(context)
-
-    def _leave(self, context: bpy.types.Context) -> None:
-        activity.end()
-        context.window_manager.event_timer_remove(self._timer)
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
-        redraw()
+        return {"FINISHED"}
 
     def _say(self, sentence: str) -> set[str]:
         self.report({"INFO"}, sentence)  # type: ignore[attr-defined]
@@ -116,6 +79,28 @@ class LongVerb:
         return {"CANCELLED"}
 
 
+def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
+    """Start an operator's work beside everything else. Raises SnergError when it cannot be, or is under way already."""
+    scene, project, operator = context.scene, project_of(context.scene), type(verb).bl_idname  # of an instance it is SNERG_OT_...
+    others = [other for other in activity.current(project.folder) if other.operator == operator]
+    if any(not other.is_job for other in others):
+        raise SnergError(f"{verb.label} is still under way; wait for it or stop it first.")
+    work = verb.start(context, project)
+    if isinstance(work, Job):
+        if any(isinstance(other.work, Job) and other.work.arguments == work.arguments for other in others):
+            raise SnergError(f"{verb.label} with these settings is already under way; wait for it or stop it first.")
+        work.begin(project.folder, record_of(verb, scene))
+    begun = Activity(verb.step, verb.label, work, operator, project.folder, scene.name, scene.session_uid)
+    activity.begin(begun)
+    redraw()
+    return begun
+
+
+def record_of(verb: LongVerb, scene: bpy.types.Scene) -> dict[str, Any]:
+    """What a job's folder says of it."""
+    return {"operator": type(verb).bl_idname, "step": verb.step, "label": verb.label, "scene": scene.name, "blend": bpy.data.filepath}
+
+
 MISSING = {
     "dataset": "There is no dataset; render or import one",
     "field": "There is no field; train or import one",
@@ -124,8 +109,10 @@ MISSING = {
 
 
 def has_needed(verb: type[Any], context: bpy.types.Context) -> bool:
-    """Whether the step that `verb.needs` is there; sets the poll message where it is not."""
-    if verb.needs and not project_of(context.scene).has(verb.needs):
+    """Whether the step that `verb.needs` is there, or a job that this one can wait for makes it; sets the poll message where not."""
+    project = project_of(context.scene)
+    coming = verb.queues and any(busy.is_job and busy.step == verb.needs for busy in activity.current(project.folder))
+    if verb.needs and not coming and not project.has(verb.needs):
         verb.poll_message_set(MISSING[verb.needs])
         return False
     return True
@@ -138,9 +125,15 @@ def _print_progress(label: str) -> Any:
     return say
 
 
-def redraw() -> None:
-    """Draw the sidebars again, so that the panels show what is new."""
+def redraw() -> bool:
+    """Draw the sidebars and the status bars again, so that they show what is new; False where a status bar has to wait."""
+    drawn = True
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
                 area.tag_redraw()
+        if window.modal_operators:  # the status bar may hold a text of theirs, which this would take away
+            drawn = False
+        else:
+            window.workspace.status_text_set_internal(None)
+    return drawn

@@ -165,9 +165,8 @@ def loaded(project: Project) -> Snerg:
 
 def show(context: bpy.types.Context, image: bpy.types.Image) -> None:
     """Put the picture into the first image editor that shows nothing else of the artist's."""
-    if context.screen is None:
-        return
-    for area in context.screen.areas:
-        if area.type == "IMAGE_EDITOR" and (area.spaces.active.image is None or area.spaces.active.image == image):
-            area.spaces.active.image = image
-            return
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and (area.spaces.active.image is None or area.spaces.active.image == image):
+                area.spaces.active.image = image
+                return

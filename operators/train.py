@@ -19,7 +19,7 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
     bl_label = "Train Field"
     bl_options = {"REGISTER"}
     step, label = "field", "Training"
-    needs = "dataset"
+    needs, queues = "dataset", True
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`train` of the command line."""

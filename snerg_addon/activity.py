@@ -1,4 +1,4 @@
-"""The one piece of long work that Blender's window is busy with, for the panels to show and to stop."""
+"""The long work that Blender's window shows and can stop: jobs of the open projects, and what Blender does itself."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
+import bpy
+
 from ..core.errors import Cancelled, SnergError
-from ..core.jobs.runner import State, outcome
+from ..core.jobs.runner import Job, State, outcome
 
 
 class Work(Protocol):
@@ -142,37 +145,72 @@ class Thought:
 
 @dataclass
 class Activity:
-    """step: which panel shows it ('dataset', 'field', ...). label: what it is called ('Training')."""
+    """step: which panel shows it ('dataset', 'field', ...). label: what it is called ('Training').
+
+    operator: its bl_idname. project: the project's folder. scene: the name of the scene that it was started in, which `session`
+    (session_uid) names as long as the file is open.
+    """
 
     step: str
     label: str
     work: Work
+    operator: str = ""
+    project: Path = Path()
+    scene: str = ""
+    session: int = 0
+
+    @property
+    def key(self) -> str:
+        """Names it among all."""
+        folder = self.work.folder if isinstance(self.work, Job) else None
+        return str(folder) if folder else f"{id(self.work):x}"
+
+    @property
+    def is_job(self) -> bool:
+        """Whether it is a process of its own, or else what Blender does itself."""
+        return isinstance(self.work, Job)
+
+    @property
+    def outlives(self) -> bool:
+        """Whether it goes on when Blender closes: a job, unless Blender deletes its folder, as it does with its temporary one."""
+        return self.is_job and Path(bpy.app.tempdir) not in self.project.parents
 
 
-_current: Activity | None = None
+_activities: list[Activity] = []
+_last: dict[Path, tuple[str, bool]] = {}
 
 
-def current() -> Activity | None:
-    """What is under way, None when nothing is."""
-    return _current
+def current(project: Path | None = None) -> list[Activity]:
+    """What is under way, the oldest first: in all open projects, or in the one whose folder is given."""
+    return [activity for activity in _activities if project is None or activity.project == project]
 
 
 def begin(activity: Activity) -> None:
-    """Make it the one under way. Raises SnergError when something else is."""
-    global _current
-    if _current is not None:
-        raise SnergError(f"{_current.label} is still under way; wait for it or stop it first.")
-    _current = activity
+    """Show it from now on."""
+    _activities.append(activity)
+    _last.pop(activity.project, None)
 
 
-def end() -> None:
-    """Nothing is under way any more."""
-    global _current
-    _current = None
+def end(activity: Activity) -> None:
+    """It is not under way any more."""
+    if activity in _activities:
+        _activities.remove(activity)
+
+
+def say(project: Path, sentence: str, good: bool) -> None:
+    """What came of the last work in a project, for the panel."""
+    _last[project] = (sentence, good)
+
+
+def said(project: Path) -> tuple[str, bool] | None:
+    """(sentence, whether it is good news) of the last work that ended; None where none has since Blender was started."""
+    return _last.get(project)
 
 
 def stop() -> None:
-    """Tell what is under way to stop, and forget it."""
-    if _current is not None:
-        _current.work.cancel()
-    end()
+    """Forget everything. What Blender does itself is stopped; jobs go on, and are found again."""
+    for activity in list(_activities):
+        if not activity.is_job:
+            activity.work.cancel()
+        end(activity)
+    _last.clear()

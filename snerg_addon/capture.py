@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
+import os
+import shutil
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,13 +18,15 @@ import bpy
 
 from ..core.capture.camera import Camera
 from ..core.capture.images import read_size
-from ..core.capture.readers.transforms import write_transforms
+from ..core.capture.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
-from ..core.files import new_folder
+from ..core.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
 from ..core.grid.box import Box
 from .bridge import camera_from_blender, set_camera, temporary_camera
 
 Shot: TypeAlias = bpy.types.Object | Camera
+TEXTS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # kinds of a PNG's chunks
+RENDERING = "rendering.json"  # in an unfinished dataset: what it is rendered from
 
 
 @dataclass(frozen=True)
@@ -35,14 +43,16 @@ def render_dataset(
     settings: CaptureSettings | None = None,
     box: Box | None = None,
     progress: Callable[[float, str], None] = lambda fraction, message: None,
+    goes_on: bool = True,
 ) -> dict[str, Any]:
     """Render every shot and write the folder whole: train/, test/, transforms_train.json, transforms_test.json.
 
     shots: camera objects, or core cameras of the scene's resolution. box: recorded as what the scene is about.
-    Returns {"train", "test": views, "width", "height": pixels}. Raises SnergError on shots that cannot be
-    rendered; `progress` may raise Cancelled. No setting of the scene is touched.
+    goes_on: as `render_steps` has it. Returns {"train", "test": views, "width", "height": pixels} and, where there are any,
+    "kept": views of an earlier run. Raises SnergError on shots that cannot be rendered; `progress` may raise Cancelled. No setting
+    of the scene is touched.
     """
-    steps = render_steps(scene, shots, folder, settings, box)
+    steps = render_steps(scene, shots, folder, settings, box, goes_on)
     try:
         while True:
             try:
@@ -59,24 +69,136 @@ def render_steps(
     folder: Path,
     settings: CaptureSettings | None = None,
     box: Box | None = None,
+    goes_on: bool = True,
 ) -> Any:
-    """`render_dataset` as a generator of (fraction, message), a view a step; closing it leaves nothing behind."""
+    """`render_dataset` as a generator of (fraction, message), a view a step.
+
+    The views are collected in `unfinished(folder)`, which takes the place of `folder` when all are there. A run that is stopped
+    or killed leaves it, as a dataset of the views so far; the next one goes on at the first that is missing if `goes_on` and what
+    the views are rendered from and how is the same, else it begins anew.
+    """
     settings = settings or CaptureSettings()
     cameras = core_cameras(scene, shots)
     splits = split_names(len(shots), settings.test_every)
-    recorded: dict[str, Any] = {}
-    with new_folder(folder) as part:
-        for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
+    check_replaceable(folder)
+    part = unfinished(folder)
+    if not goes_on or rendering_of(part) != rendering(scene, cameras, settings):
+        check_replaceable(part)
+        shutil.rmtree(part, ignore_errors=True)
+        write_bytes(part / MARK, b"Written by SNeRG for Blender; a rendering of a dataset that goes on here.\n")
+        write_bytes(part / RENDERING, json_bytes(rendering(scene, cameras, settings)))
+    kept = sum((part / f"{name}.png").is_file() for name in splits)
+    for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
+        if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
-            recorded = render_view(scene, shot, part / f"{splits[index]}.png", camera)
-        for split in ("train", "test"):
-            chosen = [i for i, name in enumerate(splits) if name.startswith(split)]
-            if chosen:
-                names = [f"./{splits[i]}" for i in chosen]
-                write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, {"snerg_render": recorded})
+            recorded = render_whole(scene, shot, part / f"{splits[index]}.png", camera)
+            write_splits(part, cameras, splits, box, recorded)
+    if kept == len(shots):  # the one before was stopped just before its end
+        with capture_scene(scene) as copy:
+            write_splits(part, cameras, splits, box, colour_settings(copy))
+    with new_folder(folder) as whole:
+        for name in (*(f"{split}.png" for split in splits), *(path.name for path in part.glob("transforms_*.json"))):
+            (whole / name).parent.mkdir(exist_ok=True)
+            link_or_copy(part / name, whole / name)
+    shutil.rmtree(part, ignore_errors=True)
     held_out = sum(name.startswith("test") for name in splits)
     first = cameras[0]
-    return {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
+    return {
+        "train": len(shots) - held_out,
+        "test": held_out,
+        "width": first.width,
+        "height": first.height,
+        **({"kept": kept} if kept else {}),
+    }
+
+
+def unfinished(folder: Path) -> Path:
+    """Where a dataset is rendered until it is whole: beside it."""
+    return folder.with_name(f"{folder.name}.unfinished")
+
+
+def views_there(folder: Path) -> tuple[int, int]:
+    """(rendered, all) views of the dataset that is rendered into `folder` and not yet whole; (0, 0) where there is none."""
+    part = unfinished(folder)
+    count = rendering_of(part).get("views", 0)
+    return (len(list(part.glob("*/r_*.png"))), count) if isinstance(count, int) and count else (0, 0)
+
+
+def rendering(scene: bpy.types.Scene, cameras: Sequence[Camera], settings: CaptureSettings) -> dict[str, Any]:
+    """What must be the same for a rendering to go on: cameras, frame and settings of rendering. What stands in the scene is not seen."""
+    parts = (scene.render, scene.view_settings, scene.display_settings, *(getattr(scene, name, None) for name in ("cycles", "eevee")))
+    poses = [[camera.name, *intrinsics_json(camera).items(), camera.camera_to_world.tolist()] for camera in cameras]
+    value = [settings.test_every, scene.name, scene.frame_current, scene.frame_subframe, poses, [plain_settings(part) for part in parts]]
+    key = hashlib.sha256(json.dumps(value, default=str).encode()).hexdigest()
+    return {"views": len(cameras), "key": key}
+
+
+def plain_settings(thing: Any) -> dict[str, Any]:
+    """Numbers, choices and switches of a Blender struct, by name; not texts, which are paths of files that are not written."""
+    if thing is None:
+        return {}
+    found = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for prop in thing.bl_rna.properties:
+            if prop.type in ("INT", "FLOAT", "BOOLEAN", "ENUM") and not prop.is_readonly:
+                value = getattr(thing, prop.identifier)
+                found[prop.identifier] = list(value) if getattr(prop, "is_array", False) else value
+    return found
+
+
+def rendering_of(part: Path) -> dict[str, Any]:
+    """What an unfinished dataset was rendered from; {} where there is none."""
+    try:
+        value = read_json(part / RENDERING)
+    except SnergError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def render_whole(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
+    """`render_view` to a picture that is whole or not there, and that holds nothing but the picture. Raises SnergError also when it
+    cannot be written."""
+    beside = path.parent / f".{path.name}.part"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        recorded = render_view(scene, shot, beside, camera)
+        write_bytes(path, without_texts(beside.read_bytes()))
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+    return recorded
+
+
+def without_texts(png: bytes) -> bytes:
+    """A PNG without what Blender and Cycles write about it, such as how long it took, so that the same view is the same bytes."""
+    kept, at = [png[:8]], 8
+    while at + 8 <= len(png):
+        size = 12 + int.from_bytes(png[at : at + 4], "big")  # length, kind, data and checksum
+        if png[at + 4 : at + 8] not in TEXTS:
+            kept.append(png[at : at + size])
+        at += size
+    return b"".join(kept)
+
+
+def write_splits(part: Path, cameras: Sequence[Camera], splits: Sequence[str], box: Box | None, recorded: dict[str, Any]) -> None:
+    """The transforms of the views that are there."""
+    there = [index for index, name in enumerate(splits) if (part / f"{name}.png").is_file()]
+    for split in ("train", "test"):
+        chosen = [index for index in there if splits[index].startswith(split)]
+        if chosen:
+            names = [f"./{splits[index]}" for index in chosen]
+            write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, {"snerg_render": recorded})
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """The same file under a second name, or a copy where the disk knows no such thing."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def core_cameras(scene: bpy.types.Scene, shots: Sequence[Shot]) -> list[Camera]:

@@ -10,6 +10,7 @@ import bpy
 from ..operators.train import training_arguments
 from . import activity, ahead
 from .bridge import PREVIEW, STUDY, resolution
+from .capture import views_there
 from .curve import Curve, curve_of
 from .project import Project, is_temporary, project_of
 from .properties import LOSSY
@@ -37,11 +38,12 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
         row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
         if is_temporary(scene):
             layout.label(text="Save the .blend to keep your work", icon="ERROR")
-        busy = activity.current()
-        if busy is None:
-            layout.label(text=next_step(scene), icon="FORWARD")
-        else:
+        project = project_of(scene).folder
+        for busy in activity.current(project):
             draw_progress(layout, busy)
+        draw_last(layout, activity.said(project))
+        if not activity.current(project):
+            layout.label(text=next_step(scene), icon="FORWARD")
 
 
 def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
@@ -53,7 +55,16 @@ def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
     row.progress(factor=work.fraction, text=work.message or f"{work.fraction:.0%}")
     stop = row.row(align=True)
     stop.enabled = not work.cancelling
-    stop.operator("snerg.cancel", text="", icon="CANCEL")
+    stop.operator("snerg.cancel", text="", icon="CANCEL").work = busy.key
+    column.label(text="Goes on when Blender closes" if busy.outlives else "Ends when Blender closes")
+
+
+def draw_last(layout: bpy.types.UILayout, said: tuple[str, bool] | None) -> None:
+    """What came of the last work, on as many lines as it takes."""
+    if said is not None:
+        column = layout.column(align=True)
+        for index, line in enumerate(textwrap.wrap(said[0], LINE - 6)):
+            column.label(text=line, icon="BLANK1" if index else "INFO" if said[1] else "ERROR")
 
 
 def next_step(scene: bpy.types.Scene) -> str:
@@ -133,13 +144,26 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
                 column.label(text="The rig needs a box", icon="INFO")
         column.prop(settings, "test_every")
         layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
-        layout.operator("snerg.render_dataset", icon="RENDER_STILL")
+        draw_render(layout, project_of(context.scene))
         layout.operator("snerg.import_dataset", icon="IMPORT")
         layout.prop(settings, "dataset", text="Train On")
         note = project_of(context.scene).notes().get("dataset", {})
         if note and not settings.dataset:
             views = f"{note.get('train')} + {note.get('test')} test views"
             facts(layout, views, joined(f"{note.get('width')} x {note.get('height')} px", megabytes(note)))
+
+
+def draw_render(layout: bpy.types.UILayout, project: Project) -> None:
+    """The button, and what there is of a rendering that was stopped."""
+    there, views = views_there(project.own_dataset)
+    if not there or any(busy.step == "dataset" for busy in activity.current(project.folder)):
+        layout.operator("snerg.render_dataset", icon="RENDER_STILL")
+        return
+    column = layout.column(align=True)
+    column.label(text=f"{there} of {views} views were rendered", icon="INFO")
+    column.operator("snerg.render_dataset", icon="RENDER_STILL", text="Render the Others").goes_on = True
+    column.operator("snerg.render_dataset", text="Render All Anew").goes_on = False
+    column.operator("snerg.use_views")
 
 
 def camera_count(context: bpy.types.Context) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 import bpy
 
 from .. import operators
-from . import activity, command, panels, properties
+from ..operators import quit, watch
+from . import command, panels, properties
 
 CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES)
 _commands: list[Any] = []
@@ -19,11 +20,14 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
+    quit.add_keys()
+    watch.register()
 
 
 def unregister() -> None:
-    """Stop what runs, then take everything back in reverse."""
-    activity.stop()
+    """Watch nothing any more, then take everything back in reverse."""
+    watch.unregister()
+    quit.remove_keys()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     del bpy.types.Scene.snerg

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -36,3 +37,8 @@ def add_plane(size: float = 1.0, location: tuple[float, float, float] = (0.0, 0.
     bpy.context.scene.collection.objects.link(plane)
     bpy.context.view_layer.update()
     return plane
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """{path: bytes} of all files of a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -10,15 +10,16 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Euler
-from stage import add_camera, add_plane
+from stage import add_camera, add_plane, contents
 
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.capture.images import read_image
 from snerg.core.capture.rig import RigSettings, rig_cameras
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.grid.box import Box
+from snerg.snerg_addon import capture
 from snerg.snerg_addon.bridge import camera_from_blender
-from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names
+from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names, unfinished, views_there
 
 
 def every_setting(thing, path="", depth=0):
@@ -154,19 +155,91 @@ def test_the_rig_renders_from_where_it_says(scene, tmp_path):
         assert (alpha * rows).sum() / alpha.sum() == pytest.approx(12, abs=0.7)
 
 
-def test_stopping_leaves_the_scene_and_the_disk_as_they_were(scene, odd, tmp_path):
-    add_plane()
-    shots = [add_camera(f"Camera {index}") for index in range(3)]
-    before = state(scene)
+def stop_after(views):
+    """Progress that stops a rendering after so many views."""
 
     def stop(fraction: float, message: str) -> None:
-        if fraction > 0.5:
+        if message.startswith(f"View {views + 1} "):
             raise Cancelled("enough")
 
+    return stop
+
+
+def refuse_all(fraction: float, message: str) -> None:
+    raise AssertionError(f"nothing was left to render, and yet: {message}")
+
+
+def test_stopping_leaves_the_scene_as_it_was_and_keeps_the_views(scene, odd, tmp_path):
+    """What is there is a dataset; rendering again renders the rest, and the whole is as if nothing had happened."""
+    add_plane()
+    shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(4)]
+    render_dataset(scene, shots, tmp_path / "whole", CaptureSettings(test_every=2))
+    before = state(scene)
     with pytest.raises(Cancelled):
-        render_dataset(scene, shots, tmp_path / "set", progress=stop)
+        render_dataset(scene, shots, tmp_path / "set", CaptureSettings(test_every=2), progress=stop_after(3))
     assert state(scene) == before
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir() if path.name != "whole"] == ["set.unfinished"]
+    assert views_there(tmp_path / "set") == (3, 4)
+    assert len(read_dataset(unfinished(tmp_path / "set"), "train").views) == 2
+    assert len(read_dataset(unfinished(tmp_path / "set"), "test").views) == 1
+    result = render_dataset(scene, shots, tmp_path / "set", CaptureSettings(test_every=2))
+    assert result["kept"] == 3 and views_there(tmp_path / "set") == (0, 0)
+    assert contents(tmp_path / "set") == contents(tmp_path / "whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["set", "whole"]
+
+
+def test_a_rendering_that_is_not_the_same_or_not_wanted_begins_anew(scene, tmp_path):
+    add_plane()
+    shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(3)]
+    folder = tmp_path / "set"
+    for change in ("resolution", "pose", "frame", "samples", "goes_on"):
+        with pytest.raises(Cancelled):
+            render_dataset(scene, shots, folder, goes_on=False, progress=stop_after(2))
+        if change == "resolution":
+            scene.render.resolution_x += 2
+        elif change == "pose":
+            shots[2].location.x += 0.1
+            bpy.context.view_layer.update()
+        elif change == "frame":
+            scene.frame_set(7)
+        elif change == "samples":
+            scene.cycles.samples = 2
+        assert "kept" not in render_dataset(scene, shots, folder, goes_on=change != "goes_on"), change
+    scene.frame_set(1)
+
+
+def test_a_rendering_that_was_stopped_at_its_very_end_needs_no_view(scene, tmp_path, monkeypatch):
+    add_plane()
+    shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(2)]
+
+    def full(path):
+        raise SnergError("The disk is full.")
+
+    with monkeypatch.context() as patch, pytest.raises(SnergError, match="full"):
+        patch.setattr(capture, "new_folder", full)
+        render_dataset(scene, shots, tmp_path / "set")
+    assert render_dataset(scene, shots, tmp_path / "set", progress=refuse_all)["kept"] == 2
+    assert len(read_dataset(tmp_path / "set").views) == 2
+
+
+def test_the_dataset_before_stays_until_the_new_one_is_whole(scene, tmp_path):
+    add_plane()
+    shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(3)]
+    render_dataset(scene, shots, tmp_path / "set")
+    before = contents(tmp_path / "set")
+    scene.render.resolution_x += 2
+    with pytest.raises(Cancelled):
+        render_dataset(scene, shots, tmp_path / "set", progress=stop_after(2))
+    assert contents(tmp_path / "set") == before
+
+
+def test_a_folder_of_the_artists_beside_the_dataset_is_left_alone(scene, tmp_path):
+    theirs = unfinished(tmp_path / "set")
+    theirs.mkdir()
+    (theirs / "diary.txt").write_text("mine")
+    with pytest.raises(SnergError, match="other files"):
+        render_dataset(scene, [add_camera()], tmp_path / "set")
+    assert (theirs / "diary.txt").read_text() == "mine"
 
 
 def test_a_camera_that_cannot_be_used_stops_it_before_anything_is_rendered(scene, tmp_path):

@@ -13,8 +13,8 @@ from stage import add_camera, add_plane
 from snerg.core.cli import parser
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.verbs import train_field
-from snerg.snerg_addon import activity, ahead
-from snerg.snerg_addon.activity import Activity, Steps
+from snerg.snerg_addon import ahead
+from snerg.snerg_addon.activity import Steps
 from snerg.snerg_addon.bridge import STUDY
 from snerg.snerg_addon.panels import next_step
 from snerg.snerg_addon.project import project_of
@@ -192,30 +192,6 @@ def test_the_box_fits_round_what_is_selected(scene):
 def test_an_unsaved_file_keeps_its_project_in_blenders_temporary_folder(scene):
     scene.snerg.property_unset("folder")
     assert project_of(scene).folder == Path(bpy.app.tempdir) / "snerg"
-
-
-def test_only_one_thing_at_a_time():
-    def forever():
-        try:
-            while True:
-                yield 0.5, "working"
-        finally:
-            closed.append(True)
-
-    closed: list[bool] = []
-    work = Steps(forever())
-    activity.begin(Activity("dataset", "Rendering", work))
-    try:
-        with pytest.raises(SnergError, match="Rendering is still under way"):
-            activity.begin(Activity("field", "Training", Steps(iter(()))))
-        refused("render_dataset", "still under way")
-        assert work.poll() and work.message == "working"
-        assert bpy.ops.snerg.cancel() == {"FINISHED"}
-        assert work.cancelling and not work.poll()
-        assert work.state == "cancelled" and closed == [True]
-    finally:
-        activity.end()
-    assert not bpy.ops.snerg.cancel.poll()
 
 
 def test_steps_end_as_jobs_do():

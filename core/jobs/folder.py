@@ -1,0 +1,173 @@
+"""A job's folder: what was asked, what it says, whether it lives, and whose turn it is.
+
+`<project>/jobs/<time-ordered name>/` holds
+
+    job.json      the record: label, step, operator, scene, arguments, when and where it was started
+    events.jsonl  what the job says (see protocol.py)
+    log.txt       its standard error
+    stop          there once it was asked to stop
+    lock          locked by the job's own process while it lives: the system lets go of it however the process ends
+    taken         there once its result was taken in
+    input         a folder of what it needs, deleted when it ends
+
+`<project>/jobs/turn` is locked by the job whose turn it is. Jobs of one project run one after another, in the order of their names.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import SnergError
+from ..files import cannot_write, json_bytes
+
+VARIABLE = "SNERG_JOB"  # of the environment: a job's own folder
+JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
+    "jobs",
+    "job.json",
+    "events.jsonl",
+    "log.txt",
+    "stop",
+    "lock",
+    "taken",
+    "turn",
+    "input",
+)
+STARTING_SECONDS = 60.0  # a process may take from its start until it has locked its lock
+KEPT = 20  # folders of jobs that ended and were taken in
+MAX_RECORD = 2**24  # bytes
+LOCKED_BYTE = 2**20  # Windows locks a range of bytes, which nobody else can read: it lies behind the text
+HELD = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}  # what systems answer where another process has the lock
+
+
+def new_job(project: Path, record: Mapping[str, Any], prepare: Callable[[Path], None] | None = None) -> Path:
+    """A folder for a new job behind all others, whole or not there. prepare: writes what else the job needs into it.
+
+    Raises SnergError when it cannot be written.
+    """
+    jobs = project / JOBS
+    temporary = jobs / f".new-{uuid.uuid4().hex[:8]}"
+    try:
+        temporary.mkdir(parents=True)
+        if prepare:
+            prepare(temporary)
+        (temporary / RECORD).write_bytes(json_bytes({**record, "started": time.time()}))
+        (temporary / EVENTS).touch()
+        seconds, fraction = divmod(time.time_ns(), 10**9)
+        folder = jobs / f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime(seconds))}.{fraction:09d}-{uuid.uuid4().hex[:4]}"
+        os.replace(temporary, folder)
+    except OSError as error:
+        raise cannot_write(jobs, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    prune(project)
+    return folder
+
+
+def job_folders(project: Path) -> list[Path]:
+    """Every job's folder, the oldest first. Never raises."""
+    try:
+        names = sorted(entry.name for entry in os.scandir(project / JOBS) if entry.is_dir() and not entry.name.startswith("."))
+    except OSError:
+        return []
+    return [project / JOBS / name for name in names if (project / JOBS / name / RECORD).is_file()]
+
+
+def live_jobs(project: Path) -> list[Path]:
+    """Those that run or wait."""
+    return [folder for folder in job_folders(project) if is_alive(folder)]
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """What was asked; {} where it cannot be read. Never raises."""
+    try:
+        with open(folder / RECORD, "rb") as file:
+            value = json.loads(file.read(MAX_RECORD))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def label_of(folder: Path) -> str:
+    """What a job is called ('Training')."""
+    return str(read_record(folder).get("label", "another job"))[:80]
+
+
+def is_alive(folder: Path) -> bool:
+    """Whether a job's process lives, or was started a moment ago and has not locked its lock yet."""
+    lock = folder / LOCK
+    try:
+        if lock.stat().st_size:
+            return is_held(lock)
+    except OSError:
+        pass
+    started = read_record(folder).get("started", 0.0)
+    return isinstance(started, float) and 0 <= time.time() - started < STARTING_SECONDS and not (folder / TAKEN).exists()
+
+
+def take(folder: Path) -> bool:
+    """Mark a job's result as taken in; False when it was already, so that each is taken once whoever looks."""
+    try:
+        (folder / TAKEN).touch(exist_ok=False)
+    except OSError:
+        return False
+    return True
+
+
+def prune(project: Path) -> None:
+    """Delete the oldest folders of jobs that ended and were taken in."""
+    ended = [folder for folder in job_folders(project) if (folder / TAKEN).exists() and not is_alive(folder)]
+    for folder in ended[:-KEPT]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def hold(path: Path) -> int | None:
+    """Lock a file without waiting, as long as the returned descriptor is open; None where another has it.
+
+    On a disk without locks everybody gets it. Raises SnergError when the file cannot be opened.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    try:
+        _lock(descriptor)
+    except OSError as error:
+        if error.errno in HELD:
+            os.close(descriptor)
+            return None
+    return descriptor
+
+
+def is_held(path: Path) -> bool:
+    """Whether another process has locked the file."""
+    try:
+        descriptor = hold(path)
+    except SnergError:
+        return False
+    if descriptor is None:
+        return True
+    with contextlib.suppress(OSError):
+        os.close(descriptor)
+    return False
+
+
+def _lock(descriptor: int) -> None:
+    if os.name == "nt":
+        import msvcrt
+
+        os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+        os.lseek(descriptor, 0, os.SEEK_SET)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

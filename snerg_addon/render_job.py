@@ -1,0 +1,132 @@
+"""Rendering a dataset in a process of its own, from a copy of the file: what the window hands over, and what the process does with it."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.capture.rig import RigSettings, rig_cameras
+from ..core.errors import SnergError
+from ..core.files import json_bytes, read_json, write_bytes
+from ..core.grid.box import Box
+from ..core.jobs import folder as folders
+from ..core.jobs.protocol import Progress, job_reporter, own_folder, run_job
+from ..core.jobs.runner import LAUNCHER, Job, job_environment
+from .bridge import resolution
+from .capture import CaptureSettings, Shot, render_dataset
+
+ARGUMENT = "--render-job"  # as launcher.py reads it
+COPY, ORDER = "scene.blend", "render.json"
+GRACE_SECONDS = 0.3  # after being told to stop: every view is whole or not there, so that none needs to be put away
+
+
+def render_job(
+    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, test_every: int, box: Box | None, goes_on: bool
+) -> Job:
+    """A job that renders what `capture.render_dataset` would now. shots: camera objects of the scene, or the rig round the box.
+
+    All is saved for it when it begins: the file as it is in memory, and pictures that are painted and not saved.
+    Raises SnergError then when that cannot be written.
+    """
+    order: dict[str, Any] = {
+        "scene": scene.name,
+        "folder": str(folder),
+        "test_every": test_every,
+        "goes_on": goes_on,
+        "box": box.to_json() if box else None,
+        "scripts": not bpy.app.autoexec_fail,  # as they run in this file now
+    }
+    if isinstance(shots, RigSettings):
+        order["rig"] = vars(shots)
+    else:
+        order["cameras"] = [shot.name_full for shot in shots if isinstance(shot, bpy.types.Object)]
+
+    def prepare(job: Path) -> None:
+        source = job / folders.INPUT
+        source.mkdir()
+        write_bytes(source / ORDER, json_bytes({**order, "images": save_painted(source)}))
+        save_copy(source / COPY)
+
+    return Job([*interpreter(), str(LAUNCHER), *(["--"] if bpy.app.binary_path else []), ARGUMENT], job_environment(), prepare)
+
+
+def interpreter() -> list[str]:
+    """What runs a script with bpy: this Blender without its window, or the Python whose module it is."""
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "--background", "-noaudio", "--python-exit-code", "2", "--python"]
+    return [sys.executable]
+
+
+def save_copy(path: Path) -> None:
+    """The file as it is in memory, whose relative paths lead to the same files from there. Raises SnergError."""
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, relative_remap=True, check_existing=False)
+    except RuntimeError as error:
+        raise SnergError(
+            f"A copy of the file could not be saved to render from ({str(error).strip()}); see whether the disk is full."
+        ) from error
+
+
+def save_painted(folder: Path) -> dict[str, str]:
+    """Pictures that were painted and not saved, which a copy of the file does not hold: {name: file in `folder`}. Raises SnergError."""
+    saved: dict[str, str] = {}
+    for image in bpy.data.images:
+        if image.is_dirty and image.users and image.library is None:
+            if image.source == "TILED":
+                raise SnergError(f"The image {image.name!r} has changes that are not saved; save it (Image, Save), then render again.")
+            name = f"painted-{len(saved)}"
+            try:
+                image.save(filepath=str(folder / name), save_copy=True)
+            except RuntimeError as error:
+                raise SnergError(
+                    f"The image {image.name!r} could not be saved ({str(error).strip()}); save or pack it, then render again."
+                ) from error
+            saved[image.name] = name
+    return saved
+
+
+def main() -> int:
+    """The process's exit code; called by launcher.py."""
+    reporter = job_reporter()
+    reporter.grace_seconds, reporter.last_words = GRACE_SECONDS, "Stopped as you asked; the views that were rendered are kept."
+    return run_job(render)
+
+
+def render(progress: Progress) -> dict[str, Any]:
+    """Open the copy and render as it was ordered."""
+    folder = own_folder()
+    assert folder is not None
+    source = folder / folders.INPUT
+    try:
+        order = read_json(source / ORDER)
+        progress(0.0, "Opening the copy of the file")
+        bpy.ops.wm.open_mainfile(filepath=str(source / COPY), load_ui=False, use_scripts=order["scripts"])
+        load_painted(source, order["images"])
+        scene = bpy.data.scenes[order["scene"]]
+        box = Box.from_json(order["box"]) if order["box"] else None
+        settings = CaptureSettings(order["test_every"])
+        return render_dataset(scene, ordered_shots(scene, order, box), Path(order["folder"]), settings, box, progress, order["goes_on"])
+    finally:
+        shutil.rmtree(source, ignore_errors=True)
+
+
+def ordered_shots(scene: bpy.types.Scene, order: dict[str, Any], box: Box | None) -> list[Shot]:
+    """The cameras that were chosen when the job was started."""
+    if "rig" in order and box is not None:
+        return list(rig_cameras(box, RigSettings(**order["rig"]), *resolution(scene)))
+    named = {thing.name_full: thing for thing in scene.objects}
+    return [named[name] for name in order["cameras"]]
+
+
+def load_painted(folder: Path, images: dict[str, str]) -> None:
+    """Give the pictures that were painted and not saved what they showed."""
+    for name, file in images.items():
+        image = bpy.data.images[name]
+        if image.packed_file:
+            image.unpack(method="REMOVE")
+        image.source, image.filepath = "FILE", str(folder / file)
+        image.reload()
