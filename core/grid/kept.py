@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import time
-import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -14,10 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import SnergError
 from ..files import MARK, check_replaceable, write_arrays, write_bytes
+from ..guard import read_arrays, reading
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
+MAX_BYTES = 2**33
 SAVE_EVERY = 5.0  # seconds of work that a kill may cost
 LOOK_EVERY = 0.2  # seconds between two looks whether to stop
 
@@ -43,13 +45,13 @@ class Kept:
         if self.folder is None:
             return
         for path in sorted(self.folder.glob(f"{self.key}-{stage}-*.npz")):
+            parts: dict[int, Arrays] = {}
             try:
-                with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as archive:  # NumPy leaves what it cannot read open
-                    parts: dict[int, Arrays] = {}
-                    for name in archive.files:
+                with reading(path, "delete it"):
+                    for name, array in read_arrays(path, MAX_BYTES).items():
                         part, _, short = name.partition(".")
-                        parts.setdefault(int(part), {})[short] = archive[name]
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+                        parts.setdefault(int(part), {})[short] = array
+            except SnergError:
                 continue
             yield from parts.items()
 
