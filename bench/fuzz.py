@@ -23,7 +23,7 @@ import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +75,10 @@ def subjects() -> list[Subject]:
     from snerg.core.files import json_bytes, write_arrays
     from snerg.core.grid.box import Box
     from snerg.core.grid.kept import Kept
-    from snerg.core.study import effects
+    from snerg.core.guard import reading
+    from snerg.core.study import effects, kept_survey
     from snerg.core.study.plan import Config
+    from snerg.core.study.survey import Rates, Survey
     from snerg.core.study.sweep import read_row
 
     small = make_snerg((14, 12, 15))
@@ -97,6 +99,8 @@ def subjects() -> list[Subject]:
 
     def scene(folder: Path, codec: str) -> None:
         baked = make_snerg((14, 12, 15), fog=False)
+        if codec == "float":
+            baked, codec = replace(baked, cells=np.float32(baked.cells) / 255), "png"
         bake: dict[str, Any] = {"settings": {"visibility_threshold": 0.01}, "voxels": {"held": 5, "seen": 3}}
         bake["seconds"] = {"visibility": 1.0, "prefilter": 2.0}
         bake |= {"samples": 2, "samples_measured": [{"samples": 1, "error": 0.1}, {"samples": 2, "error": 0.05}]}
@@ -133,6 +137,18 @@ def subjects() -> list[Subject]:
     def kept(folder: Path) -> None:
         (folder / ".snerg").write_text("")
         write_arrays(folder / "key-stage-000000.npz", {"0.a": np.arange(20), "1.a": np.ones((3, 4), np.float32)})
+
+    def survey(folder: Path) -> None:
+        rates, two = Rates(**{one.name: 1.0 for one in fields(Rates)}), np.ones((2, 5), bool)
+        nothing: Any = None
+        looked = Survey(
+            nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
+        )
+        kept_survey.write_survey(folder / "survey.npz", looked, "mark")
+
+    def read_survey(folder: Path) -> None:
+        with reading(folder / "survey.npz", "delete it"):
+            kept_survey.check(*kept_survey.opened(folder / "survey.npz"))
 
     def ply(folder: Path) -> None:
         head = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
@@ -172,9 +188,10 @@ def subjects() -> list[Subject]:
         Subject("page", lambda f: (f / "cameras.json").write_bytes(json_bytes(cameras_json(make_cameras()))),
                 lambda f: describe.page_cameras(f / "cameras.json"), ("cameras.json",)),
         Subject("study row", row, lambda f: read_row(f / "row.json"), ("row.json",)),
+        Subject("survey", survey, read_survey, ("survey.npz",)),
         Subject("resume folder", kept, lambda f: list(Kept(f, "key").read("stage")), ("*.npz",)),
     ]  # fmt: skip
-    for codec in ("png", "webp", "jpeg", "avif"):
+    for codec in ("png", "webp", "jpeg", "avif", "float"):
         files = ("s/scene.json",) if codec == "png" else ("s/*",)
         result.append(Subject(f"scene, {codec}", lambda f, codec=codec: scene(f, codec), shown, files))
     for kind, mode in (("png", "RGBA"), ("png", "P"), ("png", "1"), ("jpg", "RGB"), ("webp", "RGBA"), ("tiff", "RGB"), ("bmp", "RGB")):

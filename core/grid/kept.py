@@ -85,14 +85,29 @@ def discard(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def each(stage: str, count: int, work: Callable[[int], Arrays], kept: Kept, tell: Callable[[float], None]) -> Iterator[tuple[int, Arrays]]:
+def are(arrays: Arrays, wanted: dict[str, tuple[tuple[int, ...], type]]) -> bool:
+    """Whether arrays have just these names, shapes and kinds of values, as what is kept of a part must."""
+    return arrays.keys() == wanted.keys() and all(
+        arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in wanted.items()
+    )
+
+
+def each(
+    stage: str,
+    count: int,
+    work: Callable[[int], Arrays],
+    kept: Kept,
+    tell: Callable[[float], None],
+    fits: Callable[[int, Arrays], bool] = lambda part, arrays: True,
+) -> Iterator[tuple[int, Arrays]]:
     """(number, `work(number)`) of every part of a stage, those that are kept first, the others from a few threads.
 
+    fits: whether what is kept of a part can be it; it is done again where not.
     tell: called with the fraction done several times a second; what it raises stops the work, and finished parts are kept.
     """
     done = set()
     for part, arrays in kept.read(stage):
-        if part < count and part not in done:
+        if 0 <= part < count and part not in done and fits(part, arrays):
             done.add(part)
             yield part, arrays
     pool = ThreadPoolExecutor(THREADS)

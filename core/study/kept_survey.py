@@ -44,21 +44,21 @@ def write_survey(path: Path, survey: Survey, mark: str) -> None:
 def check_survey(path: Path) -> None:
     """Raises SnergError when something else than a survey is at `path`, which `write_survey` would replace."""
     try:
-        if not path.exists() or "survey" in _opened(path)[0]:
+        if not path.exists() or "survey" in opened(path)[0]:
             return
     except SnergError:
         pass
     raise SnergError(f"{path} is there already, and is no look at a field; name another file to keep one in, or delete it.")
 
 
-def _opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Raises SnergError where it cannot be read."""
+def opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A survey's JSON value and arrays. Raises SnergError where it cannot be read."""
     with reading(path, "delete it"):
         kept = read_arrays(path, MAX_BYTES)
         return record(json.loads(str(kept.pop("about"))), "about"), kept
 
 
-def _checked(about: dict[str, Any], found: dict[str, np.ndarray]) -> dict[str, Any]:
+def check(about: dict[str, Any], found: dict[str, np.ndarray]) -> dict[str, Any]:
     """What a survey holds beside its fields, by its names. Raises ValueError, or anything else, on what `write_survey` does not write."""
     m, s, n = len(found["points"]), len(found["voxels"]), len(found["filled"])
     shapes = {"points": (m, 3), "inside": (m,), "voxels": (s,), "held": (s, m), "kept": (s, m), "samples": (s,), "filled": (n, 3)}
@@ -80,11 +80,11 @@ def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> Survey | N
     """What `write_survey` kept of the field with this stamp, which is then read; None where nothing is kept, it is of another field or
     machine or cannot be read: it is soon made again. Raises SnergError as `field` does."""
     try:
-        about, found = _opened(path)
+        about, found = opened(path)
         if about.get("survey") != VERSION or about.get("field") != mark:
             return None
         with reading(path, "delete it"):
-            values = _checked(about, found)
+            values = check(about, found)
     except SnergError:
         return None
     read = field()
