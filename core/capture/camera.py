@@ -14,11 +14,11 @@ import numpy as np
 
 from ..errors import SnergError
 from ..guard import why
-from ..schema import FAR
+from ..schema import FAR, text
 from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
-MAX_SIDE = 2**20  # pixels
+MAX_PIXELS = 2**28  # of a picture; beyond, its rays fill the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,8 @@ class Camera:
             raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
         if self.projection not in PROJECTIONS:
             raise SnergError(f"Camera {self.name!r} is {self.projection}; only perspective and orthographic cameras are supported.")
-        if max(self.width, self.height) > MAX_SIDE:
-            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the longest side is {MAX_SIDE}.")
+        if self.width * self.height > MAX_PIXELS:
+            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the most is {MAX_PIXELS} in all.")
         if not (math.isfinite(self.near) and self.near >= 0):
             raise SnergError(f"Camera {self.name!r} has its near plane at {self.near}; it must be finite and not below 0.")
         if not all(math.isfinite(f) and f > 0 for f in self.focal):
@@ -182,7 +182,7 @@ class Camera:
                 centre=(float(centre[0]), float(centre[1])),
                 camera_to_world=np.array(value["camera_to_world"], np.float64),
                 projection=str(value["projection"]),
-                name=str(value["name"]),
+                name=text(value["name"], "name"),
                 near=float(value["near"]),
                 distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
             )

@@ -6,7 +6,7 @@ import os
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
@@ -85,7 +85,7 @@ def discard(folder: Path) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def are(arrays: Arrays, wanted: dict[str, tuple[tuple[int, ...], type]]) -> bool:
+def are(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
     """Whether arrays have just these names, shapes and kinds of values, as what is kept of a part must."""
     return arrays.keys() == wanted.keys() and all(
         arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in wanted.items()
