@@ -492,7 +492,7 @@ class Worker:
         return f"kind {number % self.kinds}", outcome, ""
 
 
-def fuzz(count: int, seed: int = 0, first: int = 0, tell: Callable[[str], None] = print) -> Counter[str]:
+def fuzz(count: int, seed: int = 0, first: int = 0) -> Counter[str]:
     """Give readers `count` inputs and count the outcomes."""
     found: Counter[str] = Counter()
     runner, began = Worker(seed), time.monotonic()
@@ -501,9 +501,9 @@ def fuzz(count: int, seed: int = 0, first: int = 0, tell: Callable[[str], None] 
             name, outcome, said = runner.run(number)
             found[outcome] += 1
             if outcome not in GOOD:
-                tell(f"{number} ({name}): {outcome}\n{said}")
+                print(f"{number} ({name}): {outcome}\n{said}", flush=True)
             if (number + 1 - first) % 5000 == 0:
-                tell(f"{number + 1 - first} inputs, {time.monotonic() - began:.0f} s")
+                print(f"{number + 1 - first} inputs, {time.monotonic() - began:.0f} s", flush=True)
     finally:
         runner.stop()
     return found

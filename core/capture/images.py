@@ -19,8 +19,9 @@ from ..files import write_bytes
 from ..guard import check_file, reading, why
 
 MAX_PIXELS = 2**27  # 134 million: past any camera, short of filling the memory from a small file (hard case 61)
-FLAT_PIXELS = 2**24  # that a picture of any size may have: a white mask of a photograph takes a few kilobytes
-PIXELS_PER_BYTE = 64  # that a larger picture may have: what shows something takes more bytes than that
+FLAT_PIXELS = 2**24  # that a picture of any few bytes may have
+FLAT_MASK = 2**26  # and a mask, which is one channel and may be white throughout
+PIXELS_PER_BYTE = 256  # that larger ones may have: an empty picture of 8-bit RGBA as PNG has 250, what shows something has fewer
 MAX_BYTES = 2**31
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # Pillow knows more, some of which start other programs
 LINEAR = (".exr",)  # read through OpenImageIO
@@ -55,7 +56,7 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.nd
 
     Raises SnergError as `read_image` does, and when its sides are in another proportion.
     """
-    with _open(path) as image:
+    with _open(path, FLAT_MASK) as image:
         if abs(image.width * height - image.height * width) > 0.02 * image.width * height + 2 * max(image.size):
             raise SnergError(f"The mask {path} is {image.width} x {image.height}, its image {width} x {height}; make it the same size.")
         with reading(path, "write it again", f"The mask {path}"):
@@ -90,7 +91,7 @@ def _deep(path: Path, image: Image.Image) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _open(path: Path) -> Image.Image:
+def _open(path: Path, flat: int = FLAT_PIXELS) -> Image.Image:
     size = _check_image_file(path)
     try:
         with warnings.catch_warnings():
@@ -99,18 +100,18 @@ def _open(path: Path) -> Image.Image:
     except Exception as error:  # Pillow's readers of headers raise what they like
         raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
     try:
-        check_size(path, image.width, image.height, size)
+        check_size(path, image.width, image.height, size, flat)
     except SnergError:
         image.close()
         raise
     return image
 
 
-def check_size(path: Path, width: int, height: int, size: int | None = None) -> None:
+def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:
     """Raise SnergError when a header says more than MAX_PIXELS, nothing, or more than `size` bytes can show (hard case 61)."""
     if not 0 < width * height <= MAX_PIXELS or width < 1:
         raise SnergError(f"The image {path} says that it is {width} x {height} pixels; the most is {MAX_PIXELS} in all.")
-    if size is not None and width * height > max(FLAT_PIXELS, PIXELS_PER_BYTE * size):
+    if size is not None and width * height > max(flat, PIXELS_PER_BYTE * size):
         raise SnergError(f"The image {path} says that it is {width} x {height} pixels in {size} bytes, too few; write it again.")
 
 

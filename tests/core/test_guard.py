@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from snerg.core.capture.images import read_image, read_size
+from snerg.core.capture.images import read_image, read_mask, read_size
 from snerg.core.capture.readers.transforms import read_cameras
 from snerg.core.errors import LONGEST, Cancelled, SnergError
 from snerg.core.field.checkpoint import read_field
@@ -107,3 +107,9 @@ def test_a_small_file_with_a_huge_picture_is_refused_by_its_header(tmp_path):
     for read in (read_size, read_image):
         with pytest.raises(SnergError, match="11000 x 11000 pixels in"):
             read(tmp_path / "a.png")
+
+
+def test_a_white_mask_of_a_large_photograph_is_read(tmp_path):
+    Image.new("1", (8000, 6000), 255).save(tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size < 2**14
+    assert read_mask(tmp_path / "a.png", 80, 60).all()
