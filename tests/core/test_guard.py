@@ -111,5 +111,5 @@ def test_a_small_file_with_a_huge_picture_is_refused_by_its_header(tmp_path):
 
 def test_a_white_mask_of_a_large_photograph_is_read(tmp_path):
     Image.new("1", (8000, 6000), 255).save(tmp_path / "a.png")
-    assert (tmp_path / "a.png").stat().st_size < 2**14
+    assert (tmp_path / "a.png").stat().st_size < 2**15
     assert read_mask(tmp_path / "a.png", 80, 60).all()
