@@ -129,10 +129,10 @@ def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises SnergError naming the file when it is missing, damaged or another picture.
     """
     mode = MODES[shape[2] if len(shape) == 3 else 1]
-    size = _check_stored(path)
+    _check_stored(path)
     try:
         with Image.open(path, formats=["JPEG" if path.suffix == ".jpg" else path.suffix[1:].upper()]) as image:
-            check_size(path, image.width, image.height, size)
+            check_size(path, image.width, image.height)
             if (image.height, image.width) != shape[:2] or image.mode != mode:
                 raise SnergError(
                     f"{path} is {image.width} x {image.height} {image.mode}, not {shape[1]} x {shape[0]} {mode}; "
@@ -145,11 +145,11 @@ def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
         raise damaged(path, why(error)) from error
 
 
-def _check_stored(path: Path) -> int:
-    """Bytes of one of a scene's files. Raises SnergError where it is missing or no regular file."""
+def _check_stored(path: Path) -> None:
+    """Raise SnergError where one of a scene's files is missing or no regular file."""
     if not path.exists():
         raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.")
-    return check_file(path, MAX_BYTES)
+    check_file(path, MAX_BYTES)
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
