@@ -13,7 +13,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-grid test test-slow lint format extension clean python
+.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow lint format extension clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -53,6 +53,10 @@ bench-grid: setup
 # FIELDS="FIELD ...": of which to compare what is said beforehand with what happens (default: those of bench-train).
 bench-estimate: setup
 	$(PY) bench/estimate.py $(FIELDS)
+
+# Every reader on N damaged files (default: 5000); SEED=1: others.
+fuzz: setup
+	$(PY) bench/fuzz.py --count $(or $(N),5000) --seed $(or $(SEED),0)
 
 test: setup
 	$(PY) -m pytest

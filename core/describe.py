@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from .capture.camera import Camera
 from .capture.dataset import read_dataset
 from .capture.readers import colmap, llff, transforms
 from .errors import SnergError
@@ -19,7 +20,9 @@ from .field.reference_checkpoint import field_of, find_checkpoint, read_referenc
 from .field.training_folder import trainings_beside
 from .files import MARK, one_generation, read_json
 from .grid.snerg import Snerg
+from .guard import reading
 from .progress import Progress, silent
+from .schema import record
 
 Result = dict[str, Any]
 
@@ -173,8 +176,18 @@ def _reference_info(path: Path) -> Result:
 def _page_info(path: Path) -> Result:
     if not is_scene(path / "scene"):
         return {"single_file": True}
-    cameras = read_json(path / "cameras.json")["cameras"]
-    return {"single_file": False, "cameras": [camera["name"] for camera in cameras], **_stored_info(path / "scene")}
+    return {
+        "single_file": False,
+        "cameras": [camera.name for camera in page_cameras(path / "cameras.json")],
+        **_stored_info(path / "scene"),
+    }
+
+
+def page_cameras(path: Path) -> tuple[Camera, ...]:
+    """The cameras that a web page lists. Raises SnergError when the file is damaged."""
+    value = read_json(path)
+    with reading(path, "write the page again"):
+        return tuple(Camera.from_json(camera) for camera in record(value, "the file")["cameras"])
 
 
 def folder_bytes(path: Path) -> int:

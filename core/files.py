@@ -20,11 +20,18 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
+<<<<<<< HEAD
 from .errors import Cancelled, SnergError
 
 MAX_JSON_BYTES = 2**28
 MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
 MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
+=======
+from .errors import SnergError
+from .guard import check_file, reading, why
+
+MAX_JSON_BYTES = 2**25  # 30,000 cameras with all that is told of them; parsed, JSON takes up to thirty times its bytes
+>>>>>>> readers
 ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
 SAVING = threading.RLock()
 """Held while a result is put in its place or saved so that it is not lost: a process that is asked to stop waits for it."""
@@ -307,17 +314,14 @@ def check_replaceable(path: Path) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file. Raises SnergError when it is missing, too large or not JSON."""
-    try:
-        if path.stat().st_size > MAX_JSON_BYTES:
-            raise SnergError(f"{path} is larger than {MAX_JSON_BYTES >> 20} MiB; it cannot be a file that SNeRG reads.")
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise SnergError(f"{path} does not exist; check the path.") from error
-    except OSError as error:
-        raise SnergError(f"Cannot read {path} ({error.strerror}).") from error
-    except (ValueError, RecursionError) as error:
-        raise SnergError(f"{path} is not valid JSON ({error}); write it again.") from error
+    """Parse a JSON file. Raises SnergError when it is missing, no regular file, too large or not JSON."""
+    check_file(path, MAX_JSON_BYTES)
+    with reading(path, "write it again"):
+        text = path.read_bytes()
+        try:
+            return json.loads(text.decode("utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise SnergError(f"{path} is not valid JSON ({why(error)}); write it again.") from error
 
 
 def json_bytes(value: Any) -> bytes:

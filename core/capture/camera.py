@@ -13,9 +13,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import SnergError
+from ..guard import why
+from ..schema import FAR, text
 from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
+MAX_PIXELS = 2**28  # of a picture; beyond, its rays fill the memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,10 @@ class Camera:
             raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
         if self.projection not in PROJECTIONS:
             raise SnergError(f"Camera {self.name!r} is {self.projection}; only perspective and orthographic cameras are supported.")
+        if self.width * self.height > MAX_PIXELS:
+            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the most is {MAX_PIXELS} in all.")
+        if not (math.isfinite(self.near) and self.near >= 0):
+            raise SnergError(f"Camera {self.name!r} has its near plane at {self.near}; it must be finite and not below 0.")
         if not all(math.isfinite(f) and f > 0 for f in self.focal):
             raise SnergError(f"Camera {self.name!r} has a focal length of {self.focal} pixels; it must be finite and above 0.")
         if not np.isfinite(self.centre).all():
@@ -175,12 +182,14 @@ class Camera:
                 centre=(float(centre[0]), float(centre[1])),
                 camera_to_world=np.array(value["camera_to_world"], np.float64),
                 projection=str(value["projection"]),
-                name=str(value["name"]),
+                name=text(value["name"], "name"),
                 near=float(value["near"]),
                 distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
             )
-        except (KeyError, TypeError, ValueError, IndexError, OverflowError, AttributeError) as error:
-            raise SnergError(f"A camera is incomplete or damaged ({type(error).__name__}: {error}); write the file again.") from error
+        except SnergError:
+            raise
+        except Exception as error:  # whatever a value of another kind raises
+            raise SnergError(f"A camera is incomplete or damaged ({why(error)}); write the file again.") from error
 
 
 def focal_from_angle(angle: float, pixels: int, where: str) -> float:
@@ -201,7 +210,7 @@ def rigid(matrix: np.ndarray, where: str) -> np.ndarray:
     matrix = np.array(matrix, dtype=np.float64)
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, [0, 0, 0, 1]])
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= FAR).all():
         raise SnergError(f"{where} has a pose that is not a finite 4 x 4 matrix; check the file that it came from.")
     axes = matrix[:3, :3]
     lengths = np.linalg.norm(axes, axis=0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import SnergError
 from ..grid.box import Box
+from ..guard import reading
 from .camera import Camera
 from .images import read_image, read_mask, read_size, reduced
 
@@ -135,7 +136,12 @@ def read_dataset(path: Path, split: str = "train", options: DatasetOptions = Dat
 
     Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.
     """
-    source = read_source(Path(path), split, options)
+    with reading(Path(path), "write it again", f"The dataset {path}"):
+        return _read_dataset(Path(path), split, options)
+
+
+def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
+    source = read_source(path, split, options)
     chosen, names = _split(source, split, options)
     if split == "train" and len(chosen) < 2:
         raise SnergError(f"The dataset {path} has {len(chosen)} image to train on; a scene needs several, from different places.")

@@ -71,7 +71,7 @@ class Distortion:
         """Undo `to_json`. Raises SnergError on anything else."""
         try:
             return cls(str(value["model"]), tuple(float(c) for c in value["coefficients"]))
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, IndexError) as error:
             raise SnergError(f"A lens is not a model with coefficients ({error}).") from error
 
     @cached_property

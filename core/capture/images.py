@@ -16,8 +16,13 @@ from PIL import Image
 
 from ..errors import SnergError
 from ..files import write_bytes
+from ..guard import check_file, reading, why
 
 MAX_PIXELS = 2**27  # 134 million: past any camera, short of filling the memory from a small file (hard case 61)
+FLAT_PIXELS = 2**24  # that a picture of any few bytes may have
+FLAT_MASK = 2**26  # and a mask, which is one channel and may be white throughout
+PIXELS_PER_BYTE = 256  # that larger ones may have: an empty picture of 8-bit RGBA as PNG has 250, what shows something has fewer
+MAX_BYTES = 2**31
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # Pillow knows more, some of which start other programs
 LINEAR = (".exr",)  # read through OpenImageIO
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
@@ -39,14 +44,11 @@ def read_image(path: Path) -> np.ndarray:
     """
     if path.suffix.lower() in LINEAR:
         return _Linear(path).read()
-    with _open(path) as image:
-        try:
-            if image.mode in DEEP:
-                return _deep(path, image)
-            has_alpha = "A" in image.getbands() or "transparency" in image.info
-            return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
-        except (OSError, ValueError, SyntaxError) as error:
-            raise damaged(path, error) from error
+    with _open(path) as image, reading(path, "write it again", f"The image {path}"):
+        if image.mode in DEEP:
+            return _deep(path, image)
+        has_alpha = "A" in image.getbands() or "transparency" in image.info
+        return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
 
 
 def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.ndarray:
@@ -54,15 +56,13 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.nd
 
     Raises SnergError as `read_image` does, and when its sides are in another proportion.
     """
-    with _open(path) as image:
+    with _open(path, FLAT_MASK) as image:
         if abs(image.width * height - image.height * width) > 0.02 * image.width * height + 2 * max(image.size):
             raise SnergError(f"The mask {path} is {image.width} x {image.height}, its image {width} x {height}; make it the same size.")
-        try:
+        with reading(path, "write it again", f"The mask {path}"):
             grey = image.convert("L")
             white = grey.point([255] * 128 + [0] * 128 if hides else [0] * 128 + [255] * 128)
             return np.asarray(white.resize((width, height), Image.Resampling.BOX)) == 255
-        except (OSError, ValueError, SyntaxError) as error:
-            raise damaged(path, error) from error
 
 
 def reduced(pixels: np.ndarray, factor: int) -> np.ndarray:
@@ -91,27 +91,35 @@ def _deep(path: Path, image: Image.Image) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _open(path: Path) -> Image.Image:
+def _open(path: Path, flat: int = FLAT_PIXELS) -> Image.Image:
+    size = _check_image_file(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MAX_PIXELS decides
             image = Image.open(path, formats=FORMATS)
-    except FileNotFoundError as error:
-        raise SnergError(f"The image {path} does not exist; put it there or take it out of the dataset.") from error
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise SnergError(f"The image {path} cannot be read as a picture ({error}).") from error
+    except Exception as error:  # Pillow's readers of headers raise what they like
+        raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
     try:
-        check_size(path, image.width, image.height)
+        check_size(path, image.width, image.height, size, flat)
     except SnergError:
         image.close()
         raise
     return image
 
 
-def check_size(path: Path, width: int, height: int) -> None:
-    """Raise SnergError when a header says more than MAX_PIXELS, or nothing (hard case 61)."""
+def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:
+    """Raise SnergError when a header says more than MAX_PIXELS, nothing, or more than `size` bytes can show (hard case 61)."""
     if not 0 < width * height <= MAX_PIXELS or width < 1:
         raise SnergError(f"The image {path} says that it is {width} x {height} pixels; the most is {MAX_PIXELS} in all.")
+    if size is not None and width * height > max(flat, PIXELS_PER_BYTE * size):
+        raise SnergError(f"The image {path} says that it is {width} x {height} pixels in {size} bytes, too few; write it again.")
+
+
+def _check_image_file(path: Path) -> int:
+    """Bytes of an image's file. Raises SnergError where there is none, or no regular one."""
+    if not path.exists():
+        raise SnergError(f"The image {path} does not exist; put it there or take it out of the dataset.")
+    return check_file(path, MAX_BYTES)
 
 
 class _Linear:
@@ -120,14 +128,13 @@ class _Linear:
     def __init__(self, path: Path) -> None:
         """Reads the header. Raises SnergError as `read_image` does."""
         self.path, self.oiio = path, _open_image_io(path)
-        if not path.is_file():
-            raise SnergError(f"The image {path} does not exist; put it there or take it out of the dataset.")
+        size = _check_image_file(path)
         file = self._input()
         spec = file.spec()
         file.close()
         self.size = int(spec.full_width), int(spec.full_height)
-        check_size(path, *self.size)
-        check_size(path, int(spec.width), int(spec.height))
+        check_size(path, *self.size, size)
+        check_size(path, int(spec.width), int(spec.height), size)
         if spec.deep:
             raise SnergError(f"The image {path} is a deep one; write it flattened.")
         self.corner = int(spec.x - spec.full_x), int(spec.y - spec.full_y)

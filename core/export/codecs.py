@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, features
 
-from ..capture.images import check_size, damaged, png_bytes
+from ..capture.images import MAX_BYTES, check_size, damaged, png_bytes
 from ..errors import SnergError
+from ..guard import check_file, why
 
 SUFFIXES = {"png": "png", "webp": "webp", "jpeg": "jpg", "avif": "avif", "h264": "mp4"}
 LOSSLESS = ("png", "webp")
@@ -66,6 +67,8 @@ class CodecSettings:
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> CodecSettings:
         """From `to_json`."""
+        if not isinstance(value["name"], str):
+            raise ValueError("a codec has no name")
         return cls(value["name"]) if value["name"] in LOSSLESS else cls(value["name"], value["quality"])
 
 
@@ -126,6 +129,7 @@ def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     Raises SnergError naming the file when it is missing, damaged or another picture.
     """
     mode = MODES[shape[2] if len(shape) == 3 else 1]
+    _check_stored(path)
     try:
         with Image.open(path, formats=["JPEG" if path.suffix == ".jpg" else path.suffix[1:].upper()]) as image:
             check_size(path, image.width, image.height)
@@ -135,10 +139,17 @@ def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
                     "the scene's folder is damaged: export it again."
                 )
             return np.asarray(image)
-    except FileNotFoundError as error:
-        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.") from error
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise damaged(path, error) from error
+    except SnergError:
+        raise
+    except Exception as error:  # RuntimeError of AVIF's, SyntaxError of PNG's ...
+        raise damaged(path, why(error)) from error
+
+
+def _check_stored(path: Path) -> None:
+    """Raise SnergError where one of a scene's files is missing or no regular file."""
+    if not path.exists():
+        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.")
+    check_file(path, MAX_BYTES)
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
@@ -189,8 +200,7 @@ def read_video(path: Path, shape: tuple[int, int, int]) -> Iterator[np.ndarray]:
     Raises SnergError naming the file when it is missing, damaged or another video, or where PyAV is missing.
     """
     av = _av()
-    if not path.is_file():
-        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.")
+    _check_stored(path)
     try:
         with av.open(os.fspath(path), format="mp4") as container:
             stream = container.streams.video[0]
@@ -199,6 +209,6 @@ def read_video(path: Path, shape: tuple[int, int, int]) -> Iterator[np.ndarray]:
             for frame in container.decode(stream):
                 planes = frame.to_ndarray(format="yuv444p").transpose(1, 2, 0)
                 yield _rounded((planes.astype(np.float32) - MIDDLE) @ np.linalg.inv(YCBCR).T)
-    except (av.FFmpegError, IndexError, ValueError) as error:
-        raise SnergError(f"The video {path} is damaged ({error}); export the scene again.") from error
+    except (av.FFmpegError, IndexError, ValueError, OSError, RuntimeError, MemoryError, TypeError) as error:
+        raise SnergError(f"The video {path} is damaged ({why(error)}); export the scene again.") from error
     raise SnergError(f"The video {path} is cut short; export the scene again.")

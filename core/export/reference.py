@@ -20,18 +20,21 @@ from typing import Any
 
 import numpy as np
 
+from ..about import check_about_scene
 from ..capture.camera import Camera, focal_from_angle, rigid
-from ..capture.images import png_bytes, read_image
+from ..capture.images import png_bytes, read_image, read_size
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
 from ..files import json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
+from ..guard import reading, why
 from ..progress import Progress, silent
+from ..schema import FAR, number, numbers, pose, positive, shown, whole
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
 from .codecs import CodecSettings, read_picture
-from .scene import write_slices
+from .scene import LARGEST, check_atlas, check_blocks, write_slices
 
 EMPTY = 255  # an index of a block without a cell
 MAX_BLOCKS = 254  # along an axis of the grid: what a 3D texture is sure to hold (hard case 54)
@@ -247,6 +250,11 @@ def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
 
 def _read_reference(folder: Path, progress: Progress) -> Snerg:
     path = folder / "scene_params.json"
+    with reading(path, "export it again"):
+        return _read_reference(folder, path, progress)
+
+
+def _read_reference(folder: Path, path: Path, progress: Progress) -> Snerg:
     params = read_params(folder)
     places, indirection = read_indices(folder, params)
     cells = read_atlas(folder, params, places, progress)
@@ -262,7 +270,7 @@ def _read_reference(folder: Path, progress: Progress) -> Snerg:
             return snerg
         view = params.pose[:3, :3] @ params.ndc.camera_to_world[:3, :3].T
         return replace(reorient(snerg, FLIP, FLIP), ndc=params.ndc, view_rotation=view)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SnergError(
             f"{path} has a damaged {OURS!r} ({type(error).__name__}: {error}); export it again, or delete that key."
         ) from error
@@ -273,20 +281,20 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
     turn = np.array(ours["viewer_axes"])
     if turn.shape != (3, 3) or not np.array_equal(turn @ turn.T, np.eye(3)) or turn.dtype.kind != "i":
         raise ValueError("viewer_axes is not a turn of a cube")
-    x, y, z = (int(n) for n in ours["shape"])
+    x, y, z = (whole(n, "shape", 1, MAX_BLOCKS * DATA_VOXELS) for n in ours["shape"])
     ndc = None if ours["ndc"] is None else Ndc.from_json(ours["ndc"])
     turned = reorient(snerg, turn.T, flip_of(ndc))
     if blocks_of((x, y, z)) != turned.indirection.shape:
         raise ValueError(f"shape is {(x, y, z)} where the grid is {turned.shape}")
     return replace(
         turned,
-        grid_to_world=np.array(ours["grid_to_world"], np.float64),
+        grid_to_world=pose(ours["grid_to_world"], "grid_to_world"),
         view_rotation=rigid(np.c_[np.array(ours["view_rotation"], np.float64), np.zeros(3)], "view_rotation")[:3, :3],
-        voxel_size=float(ours["voxel_size"]),
+        voxel_size=positive(ours["voxel_size"], "voxel_size"),
         shape=(x, y, z),
-        near=float(ours["near"]),
+        near=number(ours["near"], "near", 0),
         fill_holes=bool(ours["fill_holes"]),
-        about=dict(ours["about"]),
+        about=check_about_scene(ours["about"]),
         ndc=ndc,
     )
 
@@ -301,8 +309,8 @@ def read_params(folder: Path) -> ReferenceParams:
         return _params(value)
     except KeyError as error:
         raise SnergError(f"{path} has no {error}; the scene is damaged or of another kind: export it again.") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise SnergError(f"{path} cannot be used: {error}.") from error
+    except (TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise SnergError(f"{path} cannot be used: {why(error)}.") from error
 
 
 def _params(value: dict[str, Any]) -> ReferenceParams:
@@ -331,22 +339,20 @@ def _params(value: dict[str, Any]) -> ReferenceParams:
 
 
 def _count(value: dict[str, Any], key: str, most: int) -> int:
-    count = int(value[key])
-    if count != value[key] or not 1 <= count <= most:
-        raise ValueError(f"{key} is {value[key]}; it must be a whole number from 1 to {most}")
-    return count
+    given = number(value[key], key)
+    return whole(int(given) if given == int(given) else given, key, 1, most)
 
 
 def _finite(value: dict[str, Any], key: str, positive: bool = False) -> float:
-    number = float(value[key])
-    if not math.isfinite(number) or (positive and number <= 0):
-        raise ValueError(f"{key} is {value[key]}; it must be finite{' and above 0' if positive else ''}")
-    return number
+    found = float(value[key])
+    if not abs(found) <= FAR or (positive and found <= 0):
+        raise ValueError(f"{key} is {shown(value[key])}; it must be finite{' and above 0' if positive else ''}")
+    return found
 
 
 def _pose(rows: Any) -> np.ndarray:
     pose = np.array(rows, np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+    if pose.shape != (4, 4) or not (np.abs(pose) <= FAR).all():
         raise ValueError("worldspace_T_opengl is not a finite 4 x 4 matrix")
     axes = pose[:3, :3]
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3 or np.linalg.det(axes) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:
@@ -372,10 +378,7 @@ def _frame(value: dict[str, Any]) -> Ndc:
 def _network(value: dict[str, Any]) -> ViewNetwork:
     arrays = []
     for key, shape in zip(KERNELS, SHAPES, strict=True):
-        array = np.array(value[key], np.float32)
-        if array.shape != shape or not np.isfinite(array).all():
-            raise ValueError(f"{key} must be {' x '.join(map(str, shape))} finite numbers")
-        arrays.append(array)
+        arrays.append(numbers(value[key], key, shape, LARGEST).astype(np.float32))
     return ViewNetwork(*arrays)
 
 
@@ -383,9 +386,11 @@ def read_indices(folder: Path, params: ReferenceParams) -> tuple[np.ndarray, np.
     """atlas_indices.png: (places [M, 3], the cells in use as (ix, iy, iz), and indirection [bx, by, bz] into them)."""
     path = folder / "atlas_indices.png"
     bx, by, bz = blocks_of(params.shape)
+    check_blocks((bx, by, bz))
+    size = read_size(path)
+    if size != (bx, bz * by):
+        raise SnergError(f"{path} is {size[0]} x {size[1]}, not {bx} x {bz * by}; the scene is damaged: export it again.")
     pixels = read_image(path)[..., :3]
-    if pixels.shape != (bz * by, bx, 3):
-        raise SnergError(f"{path} is {pixels.shape[1]} x {pixels.shape[0]}, not {bx} x {bz * by}; the scene is damaged: export it again.")
     place = pixels.reshape(bz, by, bx, 3).transpose(2, 1, 0, 3).astype(np.int32)
     full = place[..., 0] < EMPTY
     used = place[full]
@@ -401,6 +406,7 @@ def read_indices(folder: Path, params: ReferenceParams) -> tuple[np.ndarray, np.
 def read_atlas(folder: Path, params: ReferenceParams, places: np.ndarray, progress: Progress) -> np.ndarray:
     """The cells at `places` [M, 3], uint8 [M, 32, 32, 32, 4 or 8]; only those, a picture at a time (hard case 56)."""
     names = [("rgba", [0, 1, 2, 7]), ("feature", [3, 4, 5, 6])] if params.network is not None else [("rgba", [0, 1, 2, 3])]
+    check_atlas(folder, len(places) * CELL_VOXELS**3 * 4 * len(names))
     cells = np.zeros((len(places), *(CELL_VOXELS,) * 3, 4 * len(names)), np.uint8)
     width, height, depth = params.atlas
     n = CELL_VOXELS

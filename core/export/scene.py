@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+<<<<<<< HEAD
+=======
+import math
+import re
+>>>>>>> readers
 import shutil
 from collections import deque
 from collections.abc import Callable
@@ -11,20 +16,33 @@ from typing import Any
 
 import numpy as np
 
+from ..about import check_about_scene
 from ..capture.images import png_bytes
 from ..capture.ndc import Ndc
 from ..errors import SnergError
+<<<<<<< HEAD
 from ..field.networks import ViewNetwork
 from ..files import check_own, json_bytes, new_folder, one_generation, read_json
+=======
+from ..field.networks import SHAPES, ViewNetwork
+from ..files import json_bytes, new_folder, read_json
+>>>>>>> readers
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
+from ..guard import check_file, reading
 from ..progress import Progress, silent
+from ..schema import number, numbers, pose, positive, record, rotation, whole
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
 from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
 FORMAT = "snerg-scene"
 VERSION = 3
 OLDER = (2,)  # versions that are read too: 2 knew PNG alone
+MAX_VOXELS = 2**17  # along an axis
+MAX_BLOCKS = 2**23  # of a grid: a cube of 6,000 voxels a side
+FREE_BYTES, EXPANSION = 2**26, 4000  # what an atlas may hold, and how many times its files' bytes beyond that: PNG packs 1000
+MAX_FLOATS = 2**37
+LARGEST = 1e6  # of the network's weights: those of trained ones are below 100
 IN_FLIGHT = 4  # pictures that wait to be written: what is in memory beside the scene stays small (hard case 56)
 PNG = CodecSettings()
 FLOAT = {"name": "float", "quality": None}  # cells that are not quantised: cells.npy
@@ -141,10 +159,8 @@ def read_scene(folder: Path) -> Snerg:
 
 def _read_scene(folder: Path) -> Snerg:
     path, value = _read_json(folder)
-    try:
+    with reading(path, "export or bake the scene again"):
         return _read(folder, value)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise SnergError(f"{path} is damaged ({type(error).__name__}: {error}); export or bake the scene again.") from error
 
 
 def codec_of(folder: Path) -> CodecSettings:
@@ -152,7 +168,7 @@ def codec_of(folder: Path) -> CodecSettings:
     path, value = _read_json(folder)
     try:
         return PNG if value["version"] in OLDER or value["codec"] == FLOAT else CodecSettings.from_json(value["codec"])
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{path} is damaged: it has no good codec; export or bake the scene again.") from error
 
 
@@ -194,41 +210,64 @@ def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:
     value = read_json(path)
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         raise SnergError(f"{path} is not a SNeRG scene; import scenes of other tools with 'snerg import'.")
-    if value.get("version") not in (VERSION, *OLDER):
+    if not isinstance(value.get("version"), int) or value["version"] not in (VERSION, *OLDER):
         raise SnergError(f"{path} has version {value.get('version')} of the format; this SNeRG reads {VERSION}: update it.")
     return path, value
 
 
 def _read(folder: Path, value: dict[str, Any]) -> Snerg:
-    x, y, z = (int(n) for n in value["shape"])
+    x, y, z = (whole(n, "shape", 1, MAX_VOXELS) for n in value["shape"])
     blocks = blocks_of((x, y, z))
+    check_blocks(blocks)
     picture = read_picture(folder / "indirection.png", (blocks[2] * blocks[1], blocks[0], 3)).astype(np.int32)
     indirection = (picture @ np.array([1, 256, 65536], np.int32) - 1).reshape(blocks[2], blocks[1], blocks[0]).transpose(2, 1, 0)
     network = value["network"]
     return Snerg(
-        grid_to_world=np.array(value["grid_to_world"], np.float64),
-        voxel_size=float(value["voxel_size"]),
+        grid_to_world=pose(value["grid_to_world"], "grid_to_world"),
+        voxel_size=positive(value["voxel_size"], "voxel_size"),
         shape=(x, y, z),
         indirection=np.ascontiguousarray(indirection),
         cells=_read_cells(folder, value, 4 if network is None else 8),
-        network=None if network is None else ViewNetwork(*(np.array(network[k], np.float32) for k in ViewNetwork._fields)),
-        view_rotation=np.array(value["view_rotation"], np.float64),
-        near=float(value["near"]),
-        about=dict(value["about"]),
+        network=None if network is None else _network(record(network, "network")),
+        view_rotation=rotation(value["view_rotation"], "view_rotation"),
+        near=number(value["near"], "near", 0),
+        about=check_about_scene(value["about"]),
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
         fill_holes=bool(value["fill_holes"]),
     )
 
 
+def _network(value: dict[str, Any]) -> ViewNetwork:
+    """MLP_Phi, its weights bounded so that what it computes stays finite."""
+    arrays = [numbers(value[name], name, shape, LARGEST) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True)]
+    return ViewNetwork(*(array.astype(np.float32) for array in arrays))
+
+
+def check_blocks(blocks: tuple[int, int, int]) -> None:
+    """Raise ValueError where a grid has more macroblocks than any scene, before memory is taken for them."""
+    if math.prod(blocks) > MAX_BLOCKS:
+        raise ValueError(f"its grid has {' x '.join(map(str, blocks))} macroblocks; the most is {MAX_BLOCKS} in all")
+
+
+def check_atlas(folder: Path, values: int) -> None:
+    """Raise SnergError where an atlas of so many bytes cannot be what a folder's files hold, before memory is taken for it."""
+    stored = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
+    if values > FREE_BYTES + EXPANSION * stored:
+        raise SnergError(
+            f"{folder} says that its atlas has {values >> 20} MiB, more than its files of {stored} bytes hold; export it again."
+        )
+
+
 def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> np.ndarray:
     """Atlas cells [count, 32, 32, 32, channels] as their codec stored them."""
-    ax, ay, az = (int(n) for n in value["atlas_blocks"])
-    count = int(value["cells"])
+    ax, ay, az = (whole(n, "atlas_blocks", 1, MAX_ATLAS_CELLS) for n in value["atlas_blocks"])
+    count = whole(value["cells"], "cells", 0, MAX_ATLAS_CELLS**3)
     codec = PNG.to_json() if value["version"] in OLDER else value["codec"]
     if codec == FLOAT:
         return _read_floats(folder / "cells.npy", (count, *(CELL_VOXELS,) * 3, channels))
-    if min(ax, ay, az) < 1 or max(ax, ay, az) > MAX_ATLAS_CELLS or not 0 <= count <= ax * ay * az:
+    if count > ax * ay * az:
         raise SnergError(f"{folder} says that it has {count} cells in an atlas of {ax} x {ay} x {az}; export it again.")
+    check_atlas(folder, ax * ay * az * CELL_VOXELS**3 * channels)
     read = picture_reader(folder, CodecSettings.from_json(codec), (ax, ay, az), channels)
     return cells_from_slices(read, (ax, ay, az), count, channels)
 
@@ -257,15 +296,14 @@ def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, i
 
 def _read_floats(path: Path, shape: tuple[int, ...]) -> np.ndarray:
     """cells.npy, float32 in [0, 1]; its header is read first (hard case 61)."""
-    try:
-        cells = np.load(path, mmap_mode="r", allow_pickle=False)
+    if not path.exists():
+        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.")
+    check_file(path, MAX_FLOATS)
+    with reading(path, "export the scene again"):
+        cells = np.lib.format.open_memmap(path, mode="r")
         if cells.shape != shape or cells.dtype != np.float32:
             raise ValueError(f"it is {cells.shape} {cells.dtype}, not {shape} float32")
         cells = np.array(cells)
-    except FileNotFoundError as error:
-        raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.") from error
-    except (OSError, ValueError, EOFError) as error:
-        raise SnergError(f"{path} is damaged ({error}); export the scene again.") from error
     if not (cells.min(initial=0) >= 0 and cells.max(initial=0) <= 1):  # false for NaN as well
         raise SnergError(f"{path} holds values outside 0 to 1; export the scene again.")
     return cells

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..schema import numbers
+
 EVERY = 8  # steps: those between differ too little to be worth reading and writing all parameters
 
 
@@ -32,11 +34,12 @@ class Average:
         return {"averaged": np.array(self.count)} | {f"mean_{i:03d}": np.array(leaf) for i, leaf in enumerate(leaves)}
 
     def restore(self, state: dict[str, np.ndarray], like: Any) -> None:
-        """Undo `state`, of parameters that are shaped `like` these."""
+        """Undo `state`, of parameters that are shaped `like` these. Raises ValueError or KeyError where it is another's."""
         self.count = int(state.get("averaged", 0))  # trainings begun before there were means have none
         if self.count:
             leaves, tree = jax.tree.flatten(like)
-            self.mean = jax.tree.unflatten(tree, [jnp.array(state[f"mean_{i:03d}"]) for i in range(len(leaves))])
+            kept = [numbers(state[f"mean_{i:03d}"], "the mean", leaf.shape) for i, leaf in enumerate(leaves)]
+            self.mean = jax.tree.unflatten(tree, [jnp.array(array, leaf.dtype) for array, leaf in zip(kept, leaves, strict=True)])
 
 
 @partial(jax.jit, donate_argnums=0)

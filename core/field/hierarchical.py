@@ -16,7 +16,7 @@ from .losses import backgrounds, cauchy, over
 from .networks import density_of, field_inputs, field_outputs, raw_outputs
 from .packed import Batch
 from .pixels import PixelPool
-from .sampling import Domain, Occupancy, clip_rays
+from .sampling import CELLS, Domain, Occupancy, clip_rays, estimates
 from .settings import TrainSettings
 from .shading import ray_colour, sample_values, unit
 from .volume import MAX_OPTICAL_DEPTH, composite_rows, optical_depth
@@ -107,7 +107,7 @@ class HierarchicalScheme:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Undo `state`."""
-        self.occupancy = Occupancy(state["most"].copy())
+        self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self._occupied()
 
     def _occupied(self) -> np.ndarray:

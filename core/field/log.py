@@ -8,9 +8,13 @@ from typing import Any
 
 from ..errors import SnergError
 from ..files import MARK, cannot_write, write_bytes
+from ..guard import check_file, reading
+from ..schema import number, whole
 
 FILE = "log.jsonl"
-MAX_BYTES = 2**28
+MAX_STEP = 2**53
+NUMBERS = {"seconds", "fraction", "loss", "psnr", "held_out_psnr", "rate", "samples", "rays"}
+MAX_BYTES = 2**26
 
 
 class Log:
@@ -48,20 +52,20 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     seconds, held_out_psnr (dB). Raises SnergError when the file cannot be read.
     """
     path = folder / FILE
-    try:
-        if not path.is_file():
+    with reading(path, "delete it"):
+        if not path.exists():
             return []
-        if path.stat().st_size > MAX_BYTES:
-            raise SnergError(f"{path} is larger than {MAX_BYTES >> 20} MiB; it cannot be the log of a training.")
+        check_file(path, MAX_BYTES)
         data = path.read_bytes()
-    except OSError as error:
-        raise SnergError(f"Cannot read {path} ({error.strerror}).") from error
     lines = []
     for text in data.split(b"\n")[:-1]:
         try:
             value = json.loads(text)
-        except (ValueError, RecursionError):
+            whole(value["step"], "step", 0, MAX_STEP)
+            for name in NUMBERS & value.keys():
+                number(value[name], name)
+        except (ValueError, RecursionError, TypeError, KeyError, AttributeError):
             continue
-        if isinstance(value, dict) and isinstance(value.get("step"), int):
+        if isinstance(value, dict):
             lines.append(value)
     return lines

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import SnergError
+from ..schema import positive
 from .ends import DARK, LEFT, RayEnds
 from .field import in_chunks
 from .held_out import Rays, packed_colours
 from .losses import backgrounds, cauchy, over, softness
 from .networks import density_of, field_inputs, field_outputs, raw_outputs
 from .pixels import PixelPool
-from .sampling import Domain, Occupancy, pack_samples
+from .sampling import CELLS, Domain, Occupancy, estimates, pack_samples
 from .settings import TrainSettings
 from .shading import ray_colour, sample_values
 from .volume import composite, depth_before, optical_depth
@@ -151,10 +152,10 @@ class PackedScheme:
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Undo `state`."""
-        self.occupancy = Occupancy(state["most"].copy())
+        self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self.occupancy.occupied
-        self.ends.reach = state["reach"].copy()
-        self.samples_per_ray = float(state["samples_per_ray"])
+        self.ends.reach = estimates(state["reach"], "reach", self.ends.reach.shape)
+        self.samples_per_ray = positive(float(state["samples_per_ray"]), "samples_per_ray")
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

@@ -17,6 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..errors import SnergError
+from ..guard import check_file, reading
 from .field import Field
 from .networks import SHAPES, VIEW_DEGREES, MlpFamily, ViewNetwork, view_residual
 from .positional import FEATURES, Dense, Trunk, activate, trunk
@@ -73,6 +74,11 @@ def read_reference_checkpoint(path: Path) -> ReferenceCheckpoint:
     found = find_checkpoint(Path(path))
     if found is None:
         raise SnergError(f"There is no checkpoint at {path}; give a checkpoint_<step> file, or the folder that holds it.")
+    with reading(found, "copy it again"):
+        return _read(found)
+
+
+def _read(found: Path) -> ReferenceCheckpoint:
     optimizer = _mapping(_unpack(found), "optimizer", found)
     networks = _mapping(_mapping(optimizer, "target", found), "params", found)
     names = BAKED.get(tuple(sorted(map(str, networks))))
@@ -124,12 +130,8 @@ def _unpack(path: Path) -> Any:
     """The file's tree, with arrays left as `_Packed` until they are asked for: never more than twice the file in memory."""
     import msgpack
 
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise SnergError(f"{path} is larger than {MAX_BYTES >> 20} MiB; it cannot be the checkpoint of a deferred NeRF.")
-        data = path.read_bytes()
-    except OSError as error:
-        raise SnergError(f"Cannot read {path} ({error.strerror}).") from error
+    check_file(path, MAX_BYTES)
+    data = path.read_bytes()
     for start, what in OTHER_FILES:
         if re.match(start, data):
             raise SnergError(f"{path} is {what}, not a checkpoint of the SNeRG code; give a checkpoint_<step> that flax wrote.")

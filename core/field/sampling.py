@@ -137,6 +137,13 @@ def cell_centres(cells: int) -> np.ndarray:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+def estimates(value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """A copy of a training's estimates as its state holds them: float32, not negative, infinite where nobody looked. Raises ValueError."""
+    if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
+        raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
+    return value.copy()
+
+
 class Occupancy:
     """Which cells hold something, as far as the field has learned.
 

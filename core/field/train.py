@@ -21,7 +21,11 @@ from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.images import over, to_uint8
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
+<<<<<<< HEAD
 from ..files import SAVING
+=======
+from ..guard import reading
+>>>>>>> readers
 from ..progress import Note, Progress, silent
 from . import decide, trial
 from .average import EVERY, Average
@@ -402,7 +406,8 @@ def train(
     if resume:
         old, state = read_field_and_state(folder)
         if state:
-            trainer.restore(state, old.about.get("decisions"))
+            with reading(folder, "train into a new folder", f"The training state in {folder}"):
+                trainer.restore(state, old.about.get("decisions"))
     for decision in trainer.decisions:
         progress(trainer.fraction(), Note(decision.text()))
     keeper = Keeper(trainer, folder, save_every) if trainer.devices.writes else None

@@ -68,7 +68,9 @@ class Box:
             if "min" in value:
                 return cls.axis_aligned(value["min"], value["max"])
             return cls(np.array(value["box_to_world"], np.float64), np.array(value["size"], np.float64))
-        except (KeyError, TypeError, ValueError) as error:
+        except SnergError:
+            raise
+        except Exception as error:  # whatever a value of another kind raises
             raise SnergError(f'{where} is not a box: it needs "min" and "max", or "box_to_world" and "size", or "matrix".') from error
 
     @classmethod

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import time
-import zipfile
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import numpy as np
 
+from ..errors import SnergError
 from ..files import MARK, check_replaceable, discard, write_arrays, write_bytes
+from ..guard import read_arrays, reading
 
 Arrays = dict[str, np.ndarray]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
+MAX_BYTES = 2**33
 SAVE_EVERY = 5.0  # seconds of work that a kill may cost
 LOOK_EVERY = 0.2  # seconds between two looks whether to stop
 
@@ -44,13 +46,13 @@ class Kept:
         if self.folder is None:
             return
         for path in sorted(self.folder.glob(f"{self.key}-{stage}-*.npz")):
+            parts: dict[int, Arrays] = {}
             try:
-                with open(path, "rb") as handle, np.load(handle, allow_pickle=False) as archive:  # NumPy leaves what it cannot read open
-                    parts: dict[int, Arrays] = {}
-                    for name in archive.files:
+                with reading(path, "delete it"):
+                    for name, array in read_arrays(path, MAX_BYTES).items():
                         part, _, short = name.partition(".")
-                        parts.setdefault(int(part), {})[short] = archive[name]
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+                        parts.setdefault(int(part), {})[short] = array
+            except SnergError:
                 continue
             yield from parts.items()
 
@@ -78,14 +80,29 @@ class Kept:
         self.new, self.saved = {}, time.monotonic()
 
 
-def each(stage: str, count: int, work: Callable[[int], Arrays], kept: Kept, tell: Callable[[float], None]) -> Iterator[tuple[int, Arrays]]:
+def are(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
+    """Whether arrays have just these names, shapes and kinds of values, as what is kept of a part must."""
+    return arrays.keys() == wanted.keys() and all(
+        arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in wanted.items()
+    )
+
+
+def each(
+    stage: str,
+    count: int,
+    work: Callable[[int], Arrays],
+    kept: Kept,
+    tell: Callable[[float], None],
+    fits: Callable[[int, Arrays], bool] = lambda part, arrays: True,
+) -> Iterator[tuple[int, Arrays]]:
     """(number, `work(number)`) of every part of a stage, those that are kept first, the others from a few threads.
 
+    fits: whether what is kept of a part can be it; it is done again where not.
     tell: called with the fraction done several times a second; what it raises stops the work, and finished parts are kept.
     """
     done = set()
     for part, arrays in kept.read(stage):
-        if part < count and part not in done:
+        if 0 <= part < count and part not in done and fits(part, arrays):
             done.add(part)
             yield part, arrays
     pool = ThreadPoolExecutor(THREADS)

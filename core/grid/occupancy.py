@@ -11,7 +11,7 @@ from ..field.field import Field
 from ..field.volume import optical_depth
 from .blocks import covered, number, pack
 from .box import DATA_VOXELS
-from .kept import Arrays, Kept, each
+from .kept import Arrays, Kept, are, each
 from .lattice import Lattice
 
 SLAB = 8  # blocks looked at together
@@ -46,7 +46,14 @@ def find_matter(field: Field, lattice: Lattice, threshold: float, kept: Kept, te
         places = candidates[slab * SLAB : (slab + 1) * SLAB]
         return judge(depth_at(field, lattice, places), -np.log1p(-threshold))
 
-    found = dict(each("occupancy", -(-len(candidates) // SLAB), look, kept, tell))
+    def fits(slab: int, arrays: Arrays) -> bool:
+        size = len(candidates[slab * SLAB : (slab + 1) * SLAB])
+        full = int(arrays["full"].sum()) if "full" in arrays and arrays["full"].dtype == bool else 0
+        side, half = DATA_VOXELS, DATA_VOXELS // 2
+        masks = {"bits": ((full, side, side), np.uint32), "coarse": ((full, half, half, half), np.uint8)}
+        return are(arrays, {"full": ((size,), np.bool_), "lost": ((size, 3), np.floating), **masks})
+
+    found = dict(each("occupancy", -(-len(candidates) // SLAB), look, kept, tell, fits))
     full = _joined(found, "full", np.zeros(0, bool))
     mask = np.zeros(lattice.blocks, bool)
     mask[tuple(candidates[full].T)] = True

@@ -11,7 +11,7 @@ from ..field.field import Field
 from .blocks import counts, fill_aprons, number, pack, places_of, reach, renumbered, unpack
 from .box import CELL_VOXELS, DATA_VOXELS
 from .jitter import voxel_uniform
-from .kept import Arrays, Kept, each
+from .kept import Arrays, Kept, are, each
 from .lattice import Lattice
 from .quantize import quantize
 from .samples import average
@@ -48,7 +48,12 @@ def fill(
         return {"values": quantize(values, voxel_uniform(voxels, channels, seed + 1)) if quantised else values}
 
     cells = np.zeros((len(places), *(CELL_VOXELS,) * 3, channels), np.uint8 if quantised else np.float32)
-    for slab, arrays in each("prefilter", len(slabs), work, kept, lambda f: tell(0.95 * f)):
+    sizes, kind = counts(bits), np.uint8 if quantised else np.floating
+
+    def fits(slab: int, arrays: Arrays) -> bool:
+        return are(arrays, {"values": ((int(sizes[slabs[slab]].sum()), channels), kind)})
+
+    for slab, arrays in each("prefilter", len(slabs), work, kept, lambda f: tell(0.95 * f), fits):
         rows = slabs[slab]
         mask = unpack(bits[rows])
         cells[rows, 1:-1, 1:-1, 1:-1][mask] = arrays["values"]

@@ -19,7 +19,7 @@ from ..capture.ndc import Ndc
 from ..progress import Progress
 from .blocks import SLAB, fill_aprons, grow, number, pack, places_of, unpack
 from .box import CELL_VOXELS, DATA_VOXELS
-from .kept import Kept
+from .kept import Kept, are
 from .lattice import Lattice
 from .march import Composited, MarchSettings, march_rays, tiled
 from .occupancy import Matter
@@ -58,7 +58,8 @@ def visible_voxels(
     scene = opacity_scene(matter, lattice.halved(), ndc)
     visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
     for done, arrays in kept.read("visibility"):
-        if done > first:
+        wanted = {"visited": ((-(-len(visited) // 8),), np.uint8), "light": ((3,), np.floating)}
+        if first < done <= len(cameras) and are(arrays, wanted) and np.isfinite(arrays["light"]).all():
             first, light = done, Light(*arrays["light"].tolist())
             visited = np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
     settings = MarchSettings(stop_transmittance=threshold)

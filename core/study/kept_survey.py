@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -18,11 +17,13 @@ from ..field.checkpoint import FILE
 from ..field.field import Field
 from ..field.reference_checkpoint import find_checkpoint
 from ..files import write_arrays
+from ..guard import read_arrays, reading
+from ..schema import number, numbers, record
 from .survey import Rates, Survey, coarse
 
 VERSION = 1
 ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples")
-UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile)
+MAX_BYTES = 2**28
 
 
 def stamp(source: Path) -> str:
@@ -43,43 +44,48 @@ def write_survey(path: Path, survey: Survey, mark: str) -> None:
 def check_survey(path: Path) -> None:
     """Raises SnergError when something else than a survey is at `path`, which `write_survey` would replace."""
     try:
-        if not path.exists() or "survey" in _opened(path)[0]:
+        if not path.exists() or "survey" in opened(path)[0]:
             return
-    except UNREADABLE:
+    except SnergError:
         pass
     raise SnergError(f"{path} is there already, and is no look at a field; name another file to keep one in, or delete it.")
 
 
-def _opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
-        return json.loads(str(kept["about"])), {name: kept[name] for name in (*ARRAYS, "filled")}
+def opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A survey's JSON value and arrays. Raises SnergError where it cannot be read."""
+    with reading(path, "delete it"):
+        kept = read_arrays(path, MAX_BYTES)
+        return record(json.loads(str(kept.pop("about"))), "about"), kept
+
+
+def check(about: dict[str, Any], found: dict[str, np.ndarray]) -> dict[str, Any]:
+    """What a survey holds beside its fields, by its names. Raises ValueError, or anything else, on what `write_survey` does not write."""
+    m, s, n = len(found["points"]), len(found["voxels"]), len(found["filled"])
+    shapes = {"points": (m, 3), "inside": (m,), "voxels": (s,), "held": (s, m), "kept": (s, m), "samples": (s,), "filled": (n, 3)}
+    for name, shape in shapes.items():
+        numbers(found[name].astype(np.uint8) if found[name].dtype == bool else found[name], name, shape)
+        if (found[name].dtype == bool) != (name in ("inside", "held", "kept")):
+            raise ValueError(f"{name} is {found[name].dtype}")
+    if not s or not (found["voxels"] > 0).all() or not (found["samples"] >= 1).all():
+        raise ValueError("it looked at no sizes of voxels")
+    values: dict[str, Any] = {name: number(about[name], name, 0) for name in ("share", "pilot", "seconds")}
+    given = record(about["rates"], "rates")
+    values["rates"] = Rates(**{one.name: number(given[one.name], one.name) for one in fields(Rates)})
+    values["samples"] = tuple(int(count) for count in found["samples"])
+    values["filled"] = found["filled"], number(about["size"], "size", 0)
+    return {name: found[name] for name in ARRAYS} | values
 
 
 def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> Survey | None:
     """What `write_survey` kept of the field with this stamp, which is then read; None where nothing is kept, it is of another field or
     machine or cannot be read: it is soon made again. Raises SnergError as `field` does."""
     try:
-        about, found = _opened(path)
-        if about["survey"] != VERSION or about["field"] != mark:
+        about, found = opened(path)
+        if about.get("survey") != VERSION or about.get("field") != mark:
             return None
-        rates = Rates(**{one.name: float(about["rates"][one.name]) for one in fields(Rates)})
-        share, pilot, seconds, size = (float(about[name]) for name in ("share", "pilot", "seconds", "size"))
-        samples = tuple(int(count) for count in found["samples"])
-    except UNREADABLE:
+        with reading(path, "delete it"):
+            values = check(about, found)
+    except SnergError:
         return None
     read = field()
-    return Survey(
-        field=read,
-        coarse=coarse(read),
-        points=found["points"],
-        share=share,
-        inside=found["inside"],
-        voxels=found["voxels"],
-        held=found["held"],
-        kept=found["kept"],
-        samples=samples,
-        filled=(found["filled"], size),
-        pilot=pilot,
-        rates=rates,
-        seconds=seconds,
-    )
+    return Survey(field=read, coarse=coarse(read), **values)

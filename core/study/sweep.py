@@ -20,9 +20,9 @@ from ..capture.images import over, to_uint8, write_png
 from ..describe import any_field, folder_bytes
 from ..errors import SnergError
 from ..evaluate import Score
-from ..export.scene import PNG, read_scene, write_scene
+from ..export.scene import LARGEST, PNG, read_scene, write_scene
 from ..field.field import Field
-from ..field.networks import ViewNetwork
+from ..field.networks import SHAPES, ViewNetwork
 from ..field.render import render_field
 from ..files import json_bytes, read_json, write_arrays, write_bytes
 from ..grid.box import Box
@@ -30,7 +30,9 @@ from ..grid.march import Frame, march
 from ..grid.refine import RefineSettings, refine
 from ..grid.snerg import Snerg
 from ..grid.tables import tables_of
+from ..guard import read_arrays, reading
 from ..progress import Progress, silent, within
+from ..schema import number, numbers, record, text
 from ..verbs import bake_field
 from .estimate import Estimate, estimate
 from .front import Row
@@ -218,8 +220,7 @@ class Sweep:
             better, _ = refine(snerg, self.subject.training, settings, within(progress, 0.7, 1))
             assert better.network is not None
             write_arrays(path, {**better.network._asdict(), "seconds": np.array(time.perf_counter() - began)})
-        with np.load(path) as kept:
-            network, took = ViewNetwork(*(kept[name] for name in ViewNetwork._fields)), float(kept["seconds"])
+        network, took = _read_refined(path)
         return replace(snerg, network=network), told | {"seconds": told["seconds"] | {"refine": round(took, 3)}}
 
     def _baked(self, config: Config, progress: Progress) -> tuple[Snerg, dict[str, Any]]:
@@ -277,13 +278,41 @@ def field_key(name: str) -> str:
     return FIELD + (f"-{name.replace(' ', '-')}" if name else "")
 
 
+def _read_refined(path: Path) -> tuple[ViewNetwork, float]:
+    """A refined network and the seconds that it took, as an earlier run left them. Raises SnergError where the file is damaged."""
+    with reading(path, "delete it to have it made again"):
+        kept = read_arrays(path, 2**20)
+        arrays = [numbers(kept[name], name, shape, LARGEST) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True)]
+        return ViewNetwork(*(array.astype(np.float32) for array in arrays)), float(kept["seconds"])
+
+
 def read_row(path: Path) -> Row:
     """A row of an earlier run. Raises SnergError when it is none."""
     row = read_json(path)
     if not (isinstance(row, dict) and {"key", "config", "psnr", "ms", "megabytes"} <= row.keys() and row["key"] == path.stem):
         raise SnergError(f"{path} is no row of a study; delete it to have it measured again.")
-    try:
-        row["config"] is None or Config.from_json(row["config"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise SnergError(f"{path} has a configuration that cannot be read ({error}); delete it to have it measured again.") from error
+    with reading(path, "delete it to have it measured again"):
+        return _checked_row(row)
+
+
+def _checked_row(row: Row) -> Row:
+    """Raises ValueError, or anything else, on a row that the report cannot be made of."""
+    for name in ("psnr", "ms", "megabytes"):
+        number(row[name], name)
+    for name in ("ssim", "trained_seconds", "peak_megabytes"):
+        if row.get(name) is not None:
+            number(row[name], name)
+    for name in ("seconds", "predicted"):
+        for part, value in record(row.get(name, {}), name).items():
+            number(value, part)
+    if not isinstance(row.get("psnr_of_views", []), list):
+        raise ValueError("psnr_of_views is no list")
+    for value in row.get("psnr_of_views", []):
+        number(value, "psnr_of_views")
+    if row["config"] is not None:
+        config = record(row["config"], "config")
+        if not isinstance(config["refine"], bool) or not isinstance(config["page"], bool):
+            raise ValueError("refine and page are neither yes nor no")
+        text(config["field"], "field")
+        Config.from_json(config)
     return row

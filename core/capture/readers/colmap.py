@@ -12,6 +12,8 @@ import numpy as np
 
 from ...errors import SnergError
 from ...files import inside
+from ...guard import check_file, reading
+from ...schema import FAR
 from ..camera import Camera
 from ..dataset import DatasetOptions, Source, View
 from ..distortion import Distortion
@@ -127,12 +129,9 @@ def _read(path: Path, reader: Callable[[Path], T]) -> T:
     file = inside(folder, path.name, str(folder))
     if not file.is_file():
         raise SnergError(f"The COLMAP model {folder} has no {file.name}; export the model again.")
-    if file.stat().st_size > MAX_BYTES:
-        raise SnergError(f"{file} is larger than {MAX_BYTES >> 30} GiB; it cannot be a file that SNeRG reads.")
-    try:
+    check_file(file, MAX_BYTES)
+    with reading(file, "export the model again"):
         return reader(file)
-    except (OSError, ValueError, IndexError, OverflowError, struct.error) as error:
-        raise SnergError(f"{file} is damaged or cut short ({error}); export the model again.") from error
 
 
 def lens_of(model: str, width: int, height: int, values: list[float], where: str) -> Lens:
@@ -266,7 +265,7 @@ def text_points(path: Path) -> Points:
 
 
 def _points(rows: list[tuple]) -> Points:
-    rows = sorted(row for row in rows if np.isfinite(row[1:4]).all())
+    rows = sorted(row for row in rows if (np.abs(row[1:4]) <= FAR).all())
     return Points(
         np.array([row[0] for row in rows], np.int64),
         np.array([row[1:4] for row in rows], np.float64).reshape(-1, 3),

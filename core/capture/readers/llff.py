@@ -8,6 +8,7 @@ import numpy as np
 
 from ...errors import SnergError
 from ...files import inside
+from ...guard import check_file, reading
 from ..dataset import DatasetOptions, Source, View
 from ..images import read_size
 from .folder import image_folder, images_in, scaled_to
@@ -55,12 +56,9 @@ def read_table(path: Path) -> np.ndarray:
 
     Raises SnergError when it is something else; nothing in it is ever run as code (hard case 62).
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise SnergError(f"{path} is larger than {MAX_BYTES >> 20} MiB; it cannot be LLFF's table of poses.")
+    check_file(path, MAX_BYTES)
+    with reading(path, "run LLFF's imgs2poses again", f"The array of numbers {path}"):
         table = np.lib.format.open_memmap(path, mode="r")  # takes memory for no more than there is, and no pickles
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, MemoryError) as error:
-        raise SnergError(f"{path} is not an array of numbers ({error}); run LLFF's imgs2poses again.") from error
     if table.ndim != 2 or table.shape[1] != 17 or not np.issubdtype(table.dtype, np.number):
         raise SnergError(f"{path} holds {table.dtype} {table.shape} instead of 17 numbers for each view; run LLFF's imgs2poses again.")
     if np.iscomplexobj(table) or not np.isfinite(table).all():

@@ -7,7 +7,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ...errors import SnergError
+from ...guard import check_file, reading
+from ...schema import FAR
 
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4", "double": "f8",
@@ -15,11 +16,13 @@ TYPES = {
 }  # fmt: skip
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 MAX_HEADER_LINES = 500
+MAX_BYTES = 2**32
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices [N, 3] float64 and their colours [N, 3] uint8 or None. Raises SnergError when the file is damaged or cut short."""
-    try:
+    check_file(path, MAX_BYTES)
+    with reading(path, "write the file again", f"The points {path}"):
         with open(path, "rb") as file:
             order, count, kinds = _header(file)
             if not {"x", "y", "z"} <= kinds.keys():
@@ -29,14 +32,13 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
                 table: Any = _binary(file, size, count, np.dtype([(name, order + kind) for name, kind in kinds.items()]))
             else:
                 table = _text(file, size, count, list(kinds))
-    except (OSError, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
-        raise SnergError(f"The points {path} are damaged or cut short ({error}); write the file again.") from error
-    points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-    kept = np.isfinite(points).all(axis=-1)
-    colours = None
-    if {"red", "green", "blue"} <= kinds.keys():
-        colours = np.stack([table[c] for c in ("red", "green", "blue")], axis=-1)[kept].clip(0, 255).astype(np.uint8)
-    return points[kept], colours
+        points = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+        kept = (np.abs(points) <= FAR).all(axis=-1)  # false for NaN
+        colours = None
+        if {"red", "green", "blue"} <= kinds.keys():
+            values = np.stack([table[c] for c in ("red", "green", "blue")], axis=-1)[kept]
+            colours = np.nan_to_num(values.clip(0, 255)).astype(np.uint8)
+        return points[kept], colours
 
 
 def _header(file: BinaryIO) -> tuple[str, int, dict[str, str]]:
@@ -56,7 +58,7 @@ def _header(file: BinaryIO) -> tuple[str, int, dict[str, str]]:
         elif words[:1] == ["property"] and element == "vertex":
             kinds[words[2]] = TYPES[words[1]]
         elif words[:1] == ["end_header"]:
-            if count < 0:
+            if count < 0 or not kinds:
                 raise ValueError("it has no vertices")
             return order, count, kinds
     raise ValueError("its header does not end")

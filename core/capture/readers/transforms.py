@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import SnergError
 from ...files import inside, json_bytes, read_json, write_bytes
 from ...grid.box import Box
+from ...guard import reading
 from ..camera import Camera, focal_from_angle
 from ..dataset import DatasetOptions, Source, View
 from ..distortion import MODELS, Distortion
@@ -45,6 +46,11 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
     found too blurred and threw away. Raises SnergError when a file, frame, image, mask, lens or pose makes no sense.
     """
     file, names = find_file(path, split)
+    with reading(file, "write it again"):
+        return _read_transforms(file, names, split, options)
+
+
+def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
     value, frames = read_frames(file)
     views = [read_frame(file, value, frame, index, "aabb_scale" in value) for index, frame in enumerate(frames)]
     there = tuple(view for view in views if view is not None)
@@ -268,6 +274,11 @@ def read_cameras(path: Path) -> tuple[Camera, ...]:
 
     Raises SnergError when the file has no frames, or gives no size for a camera.
     """
+    with reading(path, "write it again"):
+        return _read_cameras(path)
+
+
+def _read_cameras(path: Path) -> tuple[Camera, ...]:
     value, frames = read_frames(path)
     cameras = []
     for index, frame in enumerate(frames):

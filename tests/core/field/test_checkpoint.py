@@ -13,15 +13,16 @@ from snerg.core.errors import SnergError
 from snerg.core.field.checkpoint import read_field, write_field
 from snerg.core.field.encoding import HashGrid
 from snerg.core.field.field import CHUNK, Field, in_chunks
-from snerg.core.field.networks import HashFamily
+from snerg.core.field.networks import HashFamily, init_field
 from snerg.core.field.sampling import Domain
 
 
 @pytest.fixture
 def field():
-    params = {"table_0": np.arange(6, dtype=np.float32).reshape(3, 2), "bias_0": np.float32([1, 2])}
+    family = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
+    params = init_field(family, "deferred", np.random.default_rng(0))["field"]
     domain = Domain.around(np.array([-1.0, -0.9, -1.0]), np.array([1.0, 0.9, 1.0]))
-    return Field(HashFamily(HashGrid(levels=2)), params, random_network(), domain, None, 0.01)
+    return Field(family, params, random_network(), domain, None, 0.01)
 
 
 def test_the_space_the_lenses_and_the_view_mode_come_back(field, tmp_path):

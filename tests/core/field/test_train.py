@@ -378,3 +378,26 @@ def test_a_forward_facing_capture_trains_in_device_coordinates(views, tmp_path):
     assert field.ndc is not None and read_field(tmp_path / "field").ndc is not None
     assert next(d for d in field.about["decisions"] if d["effect"] == "NDC")["chosen"]
     assert np.isfinite(render_field(field, shots[0].camera).colour).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("random", np.frombuffer(b"{'a': (", np.uint8)),
+        ("random", np.frombuffer(b"{'bit_generator': 'MT19937'}", np.uint8)),
+        ("most", np.ones(5, np.float32)),
+        ("reach", np.ones(3, np.float32)),
+        ("samples_per_ray", np.array(np.nan)),
+        ("clock", np.full(5, np.nan)),
+        ("leaf_000", np.array(["text"] * 4)),
+        ("decided", np.frombuffer(b"\xff\xfe", np.uint8)),
+        ("mean_000", np.ones(3, np.float32)),
+    ],
+)
+def test_a_damaged_training_state_is_a_sentence(views, tmp_path, name, value):
+    settings = replace(SETTINGS, view_dependence="auto")
+    trainer = Trainer(views, settings)
+    state = trainer.state() | {"averaged": np.array(1), name: value}
+    write_field(trainer.field(), tmp_path, state)
+    with pytest.raises(SnergError, match=r"training state|another network"):
+        train(views, settings, tmp_path, resume=True)

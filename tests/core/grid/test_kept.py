@@ -122,3 +122,15 @@ def test_a_long_part_is_not_waited_for():
     with pytest.raises(Cancelled):
         list(each("slow", 1, lambda part: time.sleep(2) or {}, Kept(None, ""), stop))
     assert time.monotonic() - began < 1.5
+
+
+def test_parts_of_the_wrong_shape_are_done_again(tmp_path):
+    whole, folder = bake(asked(), BOX, CAMERAS, SETTINGS), tmp_path / "kept"
+    bake(asked(), BOX, CAMERAS, SETTINGS, resume=folder)
+    edited = [path for path in folder.iterdir() if path.suffix == ".npz"]
+    assert {path.name.split("-")[1] for path in edited} == {"occupancy", "visibility", "prefilter"}
+    for path in edited:
+        arrays = dict(np.load(path))
+        np.savez(path, **{name: array[:-1] for name, array in arrays.items()})
+    again = bake(asked(), BOX, CAMERAS, SETTINGS, resume=folder)
+    assert np.array_equal(whole.cells, again.cells) and np.array_equal(whole.indirection, again.indirection)

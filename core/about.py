@@ -1,0 +1,124 @@
+"""What a field and a baked scene know of themselves, checked as it is read: JSON values that later code counts on.
+
+All raise ValueError that names the value. Keys that nothing counts on may hold anything.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from .schema import number, record, text, whole
+
+MOST = 2**53  # of any count
+
+
+def check_about_field(about: Any) -> dict[str, Any]:
+    """A field's history and settings, as training keeps them."""
+    about = finite(record(about, "about"))
+    for key in ("steps", "seconds", "psnr_training_rays", "psnr_held_out_rays"):
+        if about.get(key) is not None:
+            number(about[key], key)
+    _check_trained(about)
+    settings = record(about.get("settings", {}), "settings")
+    check_background(settings.get("background", "white"))
+    return about
+
+
+def check_about_scene(about: Any) -> dict[str, Any]:
+    """What a scene keeps of its training, its bake and its refining."""
+    about = finite(record(about, "about"))
+    trained = record(about.get("trained", {}), "trained")
+    _check_trained(trained)
+    check_background(trained.get("background", "white"))
+    _check_bake(record(about.get("bake", {}), "bake"))
+    if about.get("refine") is not None:
+        _check_refine(record(about["refine"], "refine"))
+    return about
+
+
+def finite(value: Any) -> Any:
+    """A JSON value without NaN and infinity, which no other JSON file could hold."""
+    json.dumps(value, allow_nan=False)
+    return value
+
+
+def check_background(value: Any) -> None:
+    """A colour's name, or three numbers from 0 to 1."""
+    if isinstance(value, list) and len(value) == 3:
+        for part in value:
+            number(part, "background", 0, 1)
+    else:
+        text(value, "background")
+
+
+def _check_trained(value: dict[str, Any]) -> None:
+    options = record(value.get("dataset_options", {}), "dataset_options")
+    if not options.keys() <= {"holdout", "downscale"}:
+        raise ValueError(f"dataset_options has {sorted(map(str, options))[:4]}; it holds holdout and downscale")
+    for key, low in (("holdout", 0), ("downscale", 1)):
+        if key in options:
+            whole(options[key], key, low, MOST)
+    decisions = value.get("decisions", [])
+    if not isinstance(decisions, list):
+        raise ValueError("decisions is no list")
+    for decision in decisions:
+        _check_decision(record(decision, "a decision"))
+
+
+def _check_decision(value: dict[str, Any]) -> None:
+    """A Decision (see field/decide.py)."""
+    if not {"effect", "chosen", "evidence"} <= value.keys() <= {"effect", "chosen", "evidence", "measured", "threshold", "overridden"}:
+        raise ValueError("a decision needs an effect, what was chosen and the evidence, and no more than that")
+    text(value["effect"], "effect")
+    text(value["evidence"], "evidence")
+    if not isinstance(value["chosen"], bool | str) or not isinstance(value.get("overridden", False), bool):
+        raise ValueError("a decision was neither a yes, a no nor a name")
+    for key in ("measured", "threshold"):
+        if value.get(key) is not None:
+            number(value[key], key)
+
+
+def _check_bake(bake: dict[str, Any]) -> None:
+    settings = record(bake.get("settings", {}), "settings")
+    if settings.get("visibility_threshold") is not None:
+        number(settings["visibility_threshold"], "visibility_threshold")
+    seconds = _check_seconds(bake)
+    if bake.get("voxels"):
+        voxels = record(bake["voxels"], "voxels")
+        whole(voxels.get("held"), "held", 0, MOST)
+        if voxels.get("seen") is not None:
+            whole(voxels["seen"], "seen", 0, MOST)
+            number(seconds.get("visibility"), "visibility")
+            number(settings.get("visibility_threshold"), "visibility_threshold")
+    if "samples" in bake:
+        whole(bake["samples"], "samples", 1, MOST)
+        number(seconds.get("prefilter"), "prefilter")
+    measured = bake.get("samples_measured", [])
+    if not isinstance(measured, list):
+        raise ValueError("samples_measured is no list")
+    for one in measured:
+        whole(record(one, "samples_measured").get("samples"), "samples", 1, MOST)
+        number(one.get("error"), "error")
+    for key, parts in (("light", ("passes", "voxels")), ("holes", ("with", "without"))):
+        if bake.get(key):
+            for part in parts:
+                number(record(bake[key], key).get(part), part)
+    if "warning" in bake:
+        text(bake["warning"], "warning")
+
+
+def _check_refine(report: dict[str, Any]) -> None:
+    if "gain_db" in report:
+        for key in ("gain_db", "psnr_before", "psnr_after"):
+            number(report.get(key), key)
+        _check_seconds(report)
+    elif report:
+        text(report.get("skipped"), "skipped")
+
+
+def _check_seconds(value: dict[str, Any]) -> dict[str, Any]:
+    seconds = record(value.get("seconds", {}), "seconds")
+    for key, took in seconds.items():
+        number(took, f"seconds of {key}")
+    return seconds
