@@ -189,11 +189,6 @@ def test_the_box_fits_round_what_is_selected(scene):
     assert scene.snerg.box.location.x == pytest.approx(4.75)
 
 
-def test_an_unsaved_file_keeps_its_project_in_blenders_temporary_folder(scene):
-    scene.snerg.property_unset("folder")
-    assert project_of(scene).folder == Path(bpy.app.tempdir) / "snerg"
-
-
 def test_steps_end_as_jobs_do():
     def good():
         yield 0.5, "half"
