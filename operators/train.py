@@ -56,7 +56,7 @@ def training_arguments(scene: bpy.types.Scene, project: Project, out: Path | Non
     if background == "colour":
         background = "#{:02x}{:02x}{:02x}".format(*(round(255 * value) for value in settings.train_colour))
     return [
-        *("train", str(project.dataset), *(() if out is None else ("--out", str(out)))),
+        *("train", *((project.key(project.dataset),) if out is None else (str(project.dataset), "--out", str(out)))),
         *("--preset", settings.preset, "--seed", str(settings.seed)),
         *(("--steps", str(settings.steps)) if settings.steps else ("--minutes", f"{settings.minutes:g}")),
         *("--view-dependence", settings.view_dependence, "--background", background),

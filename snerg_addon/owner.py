@@ -78,15 +78,23 @@ def unsaved_root() -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path=os.path.join("snerg", "unsaved")))
 
 
-def automatic_folder(scene: bpy.types.Scene, blend: str = "") -> Path:
-    """`NAME.snerg/SCENE` beside a saved file, with a number behind it where that is another's. blend: in place of the open file."""
+def automatic_folder(scene: bpy.types.Scene, blend: str = "", empty: bool = False) -> Path:
+    """`NAME.snerg/SCENE` beside a saved file, with a number behind it where that is another's.
+
+    blend: in place of the open file. empty: for a project that moves there, where nothing may be yet.
+    """
     linked = scene.path_resolve("library")
     file = Path(blend or (bpy.path.abspath(linked.filepath) if linked else bpy.data.filepath)).absolute()
     base = file.with_name(f"{file.stem}.snerg") / (plain(scene.name)[:LONGEST] or "Scene")
     folder, number = base, 2
-    while other_owner(folder, scene, str(file)):
+    while other_owner(folder, scene, str(file)) or (empty and holds_files(folder)):
         folder, number = base.with_name(f"{base.name}-{number}"), number + 1
     return folder
+
+
+def holds_files(folder: Path) -> bool:
+    """Whether there is anything in a folder."""
+    return folder.is_dir() and any(folder.iterdir())
 
 
 def plain(name: str) -> str:
@@ -106,10 +114,18 @@ def other_owner(folder: Path, scene: bpy.types.Scene, blend: str = "") -> str:
     ours = Path(blend or bpy.data.filepath).absolute()
     theirs, owned, same = Path(os.path.abspath(folder / owner["blend"])), str(owner.get("scene")), owner.get("id") == scene.snerg.project_id
     if theirs == ours:
-        free = owned == scene.name or (same and bpy.data.scenes.get(owned) is None)
+        free = scene == _holder(str(owner.get("id")), owned)
     else:
         free = same and not theirs.is_file()
     return "" if free else f"{theirs.name}, {owned}"
+
+
+def _holder(project_id: str, name: str) -> bpy.types.Scene | None:
+    """Which scene of this file a project is for that was made in a scene of that name: of those that keep its id (a renamed one, or
+    copies) the one so called, else the first; where none keeps it, as in a file that was closed without saving, the name decides."""
+    holders = [scene for scene in bpy.data.scenes if project_id and scene.snerg.project_id == project_id]
+    named = [scene for scene in holders if scene.name == name]
+    return (named or holders or [bpy.data.scenes.get(name)])[0]
 
 
 def _copied(other: bpy.types.Scene | None, scene: bpy.types.Scene, owner: dict[str, Any]) -> bool:
@@ -176,7 +192,7 @@ def move(source: Path, target: Path, progress: Callable[[float, str], None] = la
     """A project to another place: at every moment it is whole in one of them. Raises SnergError, Cancelled when `progress` does."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.is_dir() and not any(target.iterdir()):
+        if target.is_dir() and not holds_files(target):
             target.rmdir()
         try:
             os.rename(source, target)
@@ -188,9 +204,11 @@ def move(source: Path, target: Path, progress: Callable[[float, str], None] = la
         shutil.rmtree(part, ignore_errors=True)
         _copy(source, part, progress)
         os.rename(part, target)
+        moved = source.with_name(f".{source.name}.moved")
+        os.rename(source, moved)  # in one step: no half of it is ever taken for the project
     except OSError as error:
         raise cannot_write(target, error) from error
-    shutil.rmtree(source, ignore_errors=True)
+    shutil.rmtree(moved, ignore_errors=True)
 
 
 def _copy(source: Path, part: Path, progress: Callable[[float, str], None]) -> None:
@@ -200,3 +218,5 @@ def _copy(source: Path, part: Path, progress: Callable[[float, str], None]) -> N
         to = part / path.relative_to(source)
         to.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, to)
+        with open(to, "rb+") as file:
+            os.fsync(file.fileno())  # what is copied is on the disk before the original goes

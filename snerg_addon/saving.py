@@ -19,6 +19,7 @@ from .owner import (
     automatic_folder,
     cached_json,
     folder_of,
+    holds_files,
     move,
     other_owner,
     shown,
@@ -28,6 +29,8 @@ from .owner import (
 )
 
 _before: dict[str, str] = {}  # of each scene whose setting a save changed: what it was
+_set: dict[int, tuple[str, str]] = {}  # of each scene before an undo, by its session_uid: its project's id and folder
+_refused: set[Path] = set()  # projects that could not be moved; tried again when the file is saved or opened
 _path = ""  # of the file as it was opened or last saved
 
 
@@ -48,7 +51,7 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
         old = scene.snerg.folder
         if not bpy.data.filepath:
             if (unsaved_folder(scene) / OWNER).is_file() and (not old or old.startswith("//")):
-                _before[scene.name], scene.snerg.folder = old, shown(automatic_folder(scene, path), start)
+                _before[scene.name], scene.snerg.folder = old, shown(automatic_folder(scene, path, empty=True), start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
             _before[scene.name], scene.snerg.folder = old, shown(absolute(old, scene), start)
 
@@ -62,12 +65,12 @@ def after_saving(*_unused: Any) -> None:
         if copy and name in bpy.data.scenes:
             bpy.data.scenes[name].snerg.folder = old
     _before.clear()
-    if copy:
-        return
-    for scene in own_scenes():
-        if _path and scene.snerg.folder:
-            take_along(scene, Path(_path))
-    _path = bpy.data.filepath
+    if not copy:
+        for scene in own_scenes():
+            if _path and scene.snerg.folder:
+                take_along(scene, Path(_path))
+        _path = bpy.data.filepath
+    _refused.clear()
     settle_all()
 
 
@@ -87,7 +90,26 @@ def after_loading(*_unused: Any) -> None:
     """Another file is open. What a crash kept from moving moves now."""
     global _path
     _path = bpy.data.filepath
+    _refused.clear()
     settle_all()
+
+
+@persistent
+def before_undo(*_unused: Any) -> None:
+    """What a job or an operator sets is no step of undo: see what is set now."""
+    _set.clear()
+    _set.update({scene.session_uid: (scene.snerg.project_id, scene.snerg.folder) for scene in own_scenes() if scene.snerg.project_id})
+
+
+@persistent
+def after_undo(*_unused: Any) -> None:
+    """An undo to before a scene had a project takes nothing but settings away: the project stays the scene's."""
+    for scene in own_scenes():
+        project_id, folder = _set.get(scene.session_uid, ("", ""))
+        if project_id:
+            scene.snerg.project_id = project_id
+            if bpy.data.filepath and not scene.snerg.folder:
+                scene.snerg.folder = folder
 
 
 def settle_all() -> None:
@@ -100,12 +122,14 @@ def settle_all() -> None:
 def settle(scene: bpy.types.Scene) -> None:
     """Move one project."""
     waiting = unsaved_folder(scene)
+    if waiting in _refused:
+        return
     if not scene.snerg.project_id or not (waiting / OWNER).is_file() or live_jobs(waiting) or activity.current(waiting):
         return
     explicit = scene.snerg.folder
     target = absolute(explicit, scene) if explicit and not other_owner(absolute(explicit, scene), scene) else automatic_folder(scene)
-    if target.is_dir() and any(target.iterdir()):
-        target = automatic_folder(scene).with_name(f"{automatic_folder(scene).name}-{scene.snerg.project_id[:6]}")
+    if holds_files(target):
+        target = automatic_folder(scene, empty=True)
     manager = bpy.context.window_manager
     manager.progress_begin(0, 100)
     try:
@@ -114,6 +138,7 @@ def settle(scene: bpy.types.Scene) -> None:
         write_owner(target, scene)
         activity.say(target, f"The project was moved to {target}.", True)
     except SnergError as error:
+        _refused.add(waiting)
         activity.say(waiting, f"The project stays in {waiting}: {error}", False)
     finally:
         manager.progress_end()
@@ -133,6 +158,10 @@ HANDLERS = (
     (bpy.app.handlers.save_pre, before_saving),
     (bpy.app.handlers.save_post, after_saving),
     (bpy.app.handlers.load_post, after_loading),
+    (bpy.app.handlers.undo_pre, before_undo),
+    (bpy.app.handlers.redo_pre, before_undo),
+    (bpy.app.handlers.undo_post, after_undo),
+    (bpy.app.handlers.redo_post, after_undo),
 )
 
 
