@@ -31,7 +31,7 @@ from .owner import (
 _before: dict[str, str] = {}  # of each scene whose setting a save changed: what it was
 _set: dict[int, tuple[str, str]] = {}  # of each scene before an undo, by its session_uid: its project's id and folder
 _refused: set[Path] = set()  # projects that could not be moved; tried again when the file is saved or opened
-_path = ""  # of the file as it was opened or last saved
+_path = ""  # of the file before the save under way
 
 
 def own_scenes() -> Iterator[bpy.types.Scene]:
@@ -42,7 +42,9 @@ def own_scenes() -> Iterator[bpy.types.Scene]:
 @persistent
 def before_saving(filepath: Any, *_unused: Any) -> None:
     """Let the file that is written know where its projects are, from where it lies: a file never saved before gets a place for them."""
+    global _path
     _before.clear()
+    _path = bpy.data.filepath
     path = str(filepath or "")
     if not path:
         return
@@ -59,7 +61,6 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
 @persistent
 def after_saving(*_unused: Any) -> None:
     """Take the projects along where the artist goes on with the new file; where it was a copy, everything is as it was."""
-    global _path
     copy = bpy.data.filepath == _path
     for name, old in _before.items():
         if copy and name in bpy.data.scenes:
@@ -69,7 +70,6 @@ def after_saving(*_unused: Any) -> None:
         for scene in own_scenes():
             if _path and scene.snerg.folder:
                 take_along(scene, Path(_path))
-        _path = bpy.data.filepath
     _refused.clear()
     settle_all()
 
@@ -88,8 +88,6 @@ def take_along(scene: bpy.types.Scene, old_file: Path) -> None:
 @persistent
 def after_loading(*_unused: Any) -> None:
     """Another file is open. What a crash kept from moving moves now."""
-    global _path
-    _path = bpy.data.filepath
     _refused.clear()
     settle_all()
 
@@ -167,8 +165,6 @@ HANDLERS = (
 
 def register() -> None:
     """Listen to saving and loading."""
-    global _path
-    _path = bpy.data.filepath
     for handlers, handler in HANDLERS:
         handlers.append(handler)
 
