@@ -28,7 +28,10 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
         field, arguments = awaited(project, "field") or project.field, baking_arguments(context, project)
-        return start_verb(["bake", str(field), "--out", str(project.new_version("scene")), *arguments])
+        out = project.new_version("scene")
+        said = [part for part in arguments if part not in ("--box", str(project.box))]
+        project.note_settings(out, ["--field", project.name_of(field), *said])
+        return start_verb(["bake", str(field), "--out", str(out), *arguments])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and warn of a box that turned out to hold nothing."""

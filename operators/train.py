@@ -29,6 +29,7 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
+        project.note_settings(out, arguments[arguments.index("--preset") :])
         return start_verb(arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:

@@ -39,7 +39,7 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
         row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
         row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
         project = project_of(scene).folder
-        draw_owner(layout, scene, project.name)
+        draw_owner(layout, scene)
         for busy in activity.current(project):
             draw_progress(layout, busy)
         draw_last(layout, activity.said(project))
@@ -47,7 +47,7 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
             layout.label(text=next_step(scene), icon="FORWARD")
 
 
-def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene, name: str) -> None:
+def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Whose project is shown, and the other one that the artist may mean."""
     if not bpy.data.filepath:
         layout.label(text="Not saved yet: saving moves the project beside the file", icon="INFO")
@@ -56,7 +56,7 @@ def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene, name: str) ->
             row.label(text="Work of a file that was never saved")
             row.operator("snerg.adopt_project", text="Use It Here").folder = str(folder)
         return
-    layout.label(text=f"Project {name}", icon="FILE_BLEND")
+    layout.label(text=f"Project of {Path(bpy.data.filepath).name}, {scene.name}", icon="FILE_BLEND")
     if other := offered(scene):
         column = layout.box().column(align=True)
         for index, line in enumerate(textwrap.wrap(f"{other[0].name} belongs to {other[1]}", LINE)):
@@ -224,7 +224,7 @@ class SNERG_PT_field(_Step, bpy.types.Panel):
         if curve is not None:
             facts(layout, curve.bars, *curve_texts(curve))
         if project.has("field"):
-            facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there")
+            facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there", *made(project, "field"))
             for decision in note.get("decisions", []):
                 draw_decision(layout, decision)
         draw_versions(layout, project, "field")
@@ -245,6 +245,12 @@ def shown_training(project: Project) -> Path:
     """The version whose curve is shown: the one that is trained now, else the one in use."""
     last = project.notes().get("training", {}).get("out")
     return project.folder / str(last) if last and training_runs(project) else project.field
+
+
+def made(project: Project, step: str) -> list[str]:
+    """When the version in use was made, and with which settings, on as many lines as it takes."""
+    version = project.in_use(step)
+    return textwrap.wrap(joined(str(project.note_of(version).get("when", "")), project.settings_of(version)), LINE)
 
 
 def draw_versions(layout: bpy.types.UILayout, project: Project, step: str) -> None:
@@ -340,7 +346,7 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         note = project.notes().get("scene", {})
         if project.has("scene"):
             blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
-            facts(layout, joined(decibels(note), blocks, megabytes(note)) or "A baked scene is there")
+            facts(layout, joined(decibels(note), blocks, megabytes(note)) or "A baked scene is there", *made(project, "scene"))
         draw_versions(layout, project, "scene")
 
 

@@ -7,6 +7,7 @@ dataset, studies, exports and jobs. owner.py says which folder a scene has.
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -134,6 +135,18 @@ class Project:
         names = cached_json(self.folder / OWNER).get("names")
         kept = dict(names) if isinstance(names, Mapping) else {}
         self._write_owner(names={**kept, self.key(version): name.strip()})
+
+    def note_settings(self, version: Path, arguments: list[str]) -> None:
+        """Remember the options of the command line that a version is made with. Raises SnergError when the folder cannot be written."""
+        self.note(f"settings of {self.key(version)}", {"arguments": arguments})
+
+    def settings_of(self, version: Path) -> str:
+        """'preset fast, seed 0, minutes 5': what a version was made with; '' where that is not known. Never raises."""
+        note = cached_json(self._notes).get(f"settings of {self.key(version)}")
+        arguments = note.get("arguments") if isinstance(note, dict) else None
+        words = " ".join(str(part) for part in arguments) if isinstance(arguments, list) else ""
+        options = [option.strip().replace("-", " ") for option in re.split(r"(?:^|\s)--", words)]
+        return ", ".join(option for option in options if option)
 
     def key(self, path: Path) -> str:
         """A result's path within the project, by which its facts are noted."""

@@ -10,7 +10,7 @@ from stage import contents
 
 from scenes import make_snerg
 from snerg.core.export.scene import write_scene
-from snerg.operators import train
+from snerg.operators import bake, train
 from snerg.snerg_addon.project import Project, project_of, remember
 
 
@@ -68,6 +68,15 @@ def test_training_over_a_field_that_is_finished_makes_another(scene, monkeypatch
     arguments = train.SNERG_OT_train.start(None, bpy.context, project)
     out = Path(arguments[arguments.index("--out") + 1])
     assert out != first and out.parent == first.parent and project.field == first
+    assert project.settings_of(out).startswith("preset fast, seed 0, minutes 5, view dependence auto") and project.settings_of(first) == ""
+
+
+def test_a_bake_says_which_field_and_settings_it_is_of(scene, monkeypatch):
+    monkeypatch.setattr(bake, "start_verb", lambda arguments: arguments)
+    project = project_of(scene)
+    project.rename(a_version(project, "field", 30.0), "Sofa")
+    arguments = bake.SNERG_OT_bake.start(None, bpy.context, project)
+    assert project.settings_of(Path(arguments[3])) == "field Sofa, resolution 256, samples 0"
 
 
 def test_an_import_is_a_version(scene, tmp_path):
