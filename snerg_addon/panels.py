@@ -50,7 +50,7 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
 def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Whose project is shown, and the other one that the artist may mean."""
     if not bpy.data.filepath:
-        layout.label(text="Not saved yet: saving moves the project beside the file", icon="INFO")
+        layout.label(text="Saving the file moves the project beside it", icon="INFO")
         for folder in saving.forgotten()[:1]:
             row = layout.row()
             row.label(text="Work of a file that was never saved")
@@ -59,7 +59,8 @@ def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     layout.label(text=f"Project of {Path(bpy.data.filepath).name}, {scene.name}", icon="FILE_BLEND")
     if other := offered(scene):
         column = layout.box().column(align=True)
-        for index, line in enumerate(textwrap.wrap(f"{other[0].name} belongs to {other[1]}", LINE)):
+        said = f"The folder {other[0].parent.name}/{other[0].name} belongs to {other[1]}. This scene begins a project of its own."
+        for index, line in enumerate(textwrap.wrap(said, LINE)):
             column.label(text=line, icon="BLANK1" if index else "INFO")
         column.operator("snerg.adopt_project").folder = str(other[0])
 
