@@ -82,7 +82,7 @@ def draw_last(layout: bpy.types.UILayout, said: tuple[str, bool] | None) -> None
     """What came of the last work, on as many lines as it takes."""
     if said is not None:
         column = layout.column(align=True)
-        for index, line in enumerate(textwrap.wrap(said[0], LINE)):
+        for index, line in enumerate(textwrap.wrap(said[0], LINE - 6)):
             column.label(text=line, icon="BLANK1" if index else "INFO" if said[1] else "ERROR")
 
 

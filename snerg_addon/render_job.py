@@ -91,7 +91,8 @@ def save_painted(folder: Path) -> dict[str, str]:
 
 def main() -> int:
     """The process's exit code; called by launcher.py."""
-    job_reporter().grace_seconds = GRACE_SECONDS
+    reporter = job_reporter()
+    reporter.grace_seconds, reporter.last_words = GRACE_SECONDS, "Stopped as you asked; the views that were rendered are kept."
     return run_job(render)
 
 

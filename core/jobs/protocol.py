@@ -46,12 +46,14 @@ class Progress(Protocol):
 class JobReporter:
     """The job's side. Call it with (fraction, message): it tells whoever watches, or raises Cancelled.
 
-    stream: where the lines go. stopping: set when the job shall stop. grace_seconds: until it is ended then.
+    stream: where the lines go. stopping: set when the job shall stop. grace_seconds: until it is ended then,
+    if it has not ended, with the sentence last_words.
     """
 
     def __init__(self, stream: TextIO, stopping: threading.Event) -> None:
         self.stopping = stopping
         self.grace_seconds = GRACE_SECONDS
+        self.last_words = "Stopped; what it had not yet saved is lost."
         self._stream = stream
         self._lock = threading.Lock()
 
@@ -157,7 +159,7 @@ def _listen(folder: Path, reporter: JobReporter) -> None:
         time.sleep(LISTEN_SECONDS)
     reporter.stopping.set()
     time.sleep(reporter.grace_seconds)
-    reporter.cancelled("Stopped; what it had not yet saved is lost.")
+    reporter.cancelled(reporter.last_words)
     os._exit(EXIT_CANCELLED)
 
 

@@ -181,6 +181,8 @@ class Job:
             self.fraction = float(line["progress"])
             if self._cancelled_at is None:
                 self.message = str(line.get("message", ""))
+        elif self._verdict is not None:  # the first counts: a job may be told to stop as it puts its last things away
+            return
         elif isinstance(line.get("result"), dict):
             self._verdict = ("done", line["result"])
         elif "error" in line:

@@ -379,6 +379,6 @@ def test_a_rendering_hears_that_it_shall_stop_in_the_middle_of_a_view(scene, tmp
     start = time.monotonic()
     begun.work.cancel()
     until(lambda: not activity.current())
-    assert time.monotonic() - start < 2.0  # 0.5 s on a quiet machine
+    assert time.monotonic() - start < 10.0  # of minutes; 0.5 s where the machine has nothing else to do
     scene.render.threads_mode = "AUTO"
-    assert begun.work.state == "cancelled" and len(shots) == 5
+    assert begun.work.state == "cancelled" and "views that were rendered are kept" in begun.work.error and len(shots) == 5
