@@ -23,6 +23,7 @@ def classes() -> tuple[type[Any], ...]:
         render_dataset,
         study,
         train,
+        versions,
     )
 
     return (
@@ -39,6 +40,10 @@ def classes() -> tuple[type[Any], ...]:
         study.SNERG_OT_study,
         export_scene.SNERG_OT_export_scene,
         export_web.SNERG_OT_export_web,
+        versions.SNERG_OT_use_version,
+        versions.SNERG_OT_rename_version,
+        versions.SNERG_OT_delete_version,
+        versions.SNERG_OT_adopt_project,
         cancel.SNERG_OT_cancel,
         quit.SNERG_OT_quit,
         open_folder.SNERG_OT_open_folder,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -9,10 +10,10 @@ import bpy
 from ..core.files import json_bytes, write_bytes
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.bridge import box_from_blender
+from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb
+from .job_runner import LongVerb, awaited
 
 
 class SNERG_OT_bake(LongVerb, bpy.types.Operator):
@@ -26,16 +27,21 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
-        return start_verb(["bake", str(project.field), "--out", str(project.scene), *baking_arguments(context, project)])
+        field, arguments = awaited(project, "field") or project.field, baking_arguments(context, project)
+        out = project.new_version("scene")
+        said = [part for part in arguments if part not in ("--box", str(project.box))]
+        project.note_settings(out, ["--field", project.name_of(field), *said])
+        return start_verb(["bake", str(field), "--out", str(out), *arguments])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and warn of a box that turned out to hold nothing."""
         about = result.get("about", {})
         quality = about.get("refine", {}).get("psnr_after")
-        remember(project, "scene", project.scene, {**result, "psnr": quality})
+        folder = project.folder / "scenes" / Path(result["path"]).name  # the project may have been moved since
+        remember(project, "scene", folder, {**result, "psnr": quality})
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
-        return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {project.scene}"
+        return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"
 
 
 def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:
@@ -54,7 +60,7 @@ def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:
 
     A forward-facing field is baked whole: its grid lies in device coordinates, where no box of the scene's is a box.
     """
-    box = context.scene.snerg.box
-    if not box or project.notes().get("field", {}).get("ndc"):
+    box = box_of(context.scene)
+    if box is None or project.notes().get("field", {}).get("ndc"):
         return None
     return json_bytes(box_from_blender(box, evaluated(context.scene)).to_json())

@@ -28,9 +28,11 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`bundle` of the command line, with the cameras as they stand now."""
         settings = context.scene.snerg
-        cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
-        write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
-        arguments = ["bundle", str(project.scene), "--out", str(project.web), "--cameras", str(project.cameras)]
+        arguments = ["bundle", str(project.scene), "--out", str(project.web)]
+        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs none
+            cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
+            write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
+            arguments += ["--cameras", str(project.cameras)]
         if settings.codec != "scene":
             arguments += ["--codec", settings.codec]
         if settings.codec in LOSSY:

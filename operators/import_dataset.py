@@ -14,6 +14,7 @@ from ..core.capture.camera import Camera
 from ..core.capture.dataset import Dataset, DatasetOptions, View, read_dataset
 from ..snerg_addon.activity import Thought, Work
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
+from ..snerg_addon.owner import shown
 from ..snerg_addon.project import Project
 from .import_verb import ImportVerb
 
@@ -40,7 +41,7 @@ class SNERG_OT_import_dataset(ImportVerb, bpy.types.Operator):
         """Put it into the scene, and make it the dataset to train on."""
         parts: list[Dataset] = result["parts"]
         add_dataset(parts, scene, result["path"].stem)
-        scene.snerg.dataset = str(result["path"])
+        scene.snerg.dataset = shown(result["path"])
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         return " ".join([f"Imported {views} from {result['path']}.", *shortcomings([v.camera for p in parts for v in p.views])])
 

@@ -11,7 +11,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.project import Project, remember
+from ..snerg_addon.project import VERSIONS, Project, remember
 from ..snerg_addon.properties import RELATIVE_PATHS
 from .job_runner import LongVerb
 
@@ -31,6 +31,7 @@ class ImportVerb(LongVerb):
         if self.filepath or bpy.app.background or context.window is None:
             return super().invoke(context, event)
         self._asked = True
+        self.filepath = bpy.path.abspath("//") if bpy.data.filepath else ""  # else the browser proposes the .blend's own name
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -43,7 +44,7 @@ class ImportVerb(LongVerb):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`import` of the command line."""
-        return start_verb(["import", str(self.path()), "--out", str(getattr(project, self.key))])
+        return start_verb(["import", str(self.path()), "--out", str(project.new_version(self.key))])
 
     def path(self) -> Path:
         """What to import. Raises SnergError when nothing was chosen."""
@@ -53,6 +54,6 @@ class ImportVerb(LongVerb):
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to."""
-        folder = getattr(project, self.key)
+        folder = project.folder / VERSIONS[self.key][0] / Path(result["to"]).name  # the project may have been moved since
         remember(project, self.key, folder, result)
         return f"Imported the {self.what} into {folder}"

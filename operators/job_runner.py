@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
@@ -12,6 +13,7 @@ from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
 from ..snerg_addon import activity
 from ..snerg_addon.activity import Activity
+from ..snerg_addon.owner import claim, write_owner
 from ..snerg_addon.project import Project, project_of
 
 
@@ -46,10 +48,9 @@ class LongVerb:
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Do it and wait."""
-        scene, project = context.scene, project_of(context.scene)
-        work: activity.Work | None = None
+        scene, work = context.scene, None
         try:
-            work = self.start(context, project)
+            project, work = started(self, context)
             if isinstance(work, Job):
                 work.begin(project.folder, record_of(self, scene), attached=True)
                 assert work.folder is not None
@@ -81,11 +82,12 @@ class LongVerb:
 
 def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
     """Start an operator's work beside everything else. Raises SnergError when it cannot be, or is under way already."""
-    scene, project, operator = context.scene, project_of(context.scene), type(verb).bl_idname  # of an instance it is SNERG_OT_...
+    scene, project, operator = context.scene, claimed(context.scene), type(verb).bl_idname  # of an instance it is SNERG_OT_...
     others = [other for other in activity.current(project.folder) if other.operator == operator]
     if any(not other.is_job for other in others):
         raise SnergError(f"{verb.label} is still under way; wait for it or stop it first.")
     work = verb.start(context, project)
+    write_owner(project.folder, scene)
     if isinstance(work, Job):
         if any(isinstance(other.work, Job) and other.work.arguments == work.arguments for other in others):
             raise SnergError(f"{verb.label} with these settings is already under way; wait for it or stop it first.")
@@ -94,6 +96,20 @@ def launch(verb: LongVerb, context: bpy.types.Context) -> Activity:
     activity.begin(begun)
     redraw()
     return begun
+
+
+def started(verb: LongVerb, context: bpy.types.Context) -> tuple[Project, activity.Work]:
+    """An operator's work, in a project that is the scene's own."""
+    project = claimed(context.scene)
+    work = verb.start(context, project)
+    write_owner(project.folder, context.scene)
+    return project, work
+
+
+def claimed(scene: bpy.types.Scene) -> Project:
+    """The scene's project, with its place fixed."""
+    claim(scene)
+    return project_of(scene)
 
 
 def record_of(verb: LongVerb, scene: bpy.types.Scene) -> dict[str, Any]:
@@ -112,10 +128,23 @@ def has_needed(verb: type[Any], context: bpy.types.Context) -> bool:
     """Whether the step that `verb.needs` is there, or a job that this one can wait for makes it; sets the poll message where not."""
     project = project_of(context.scene)
     coming = verb.queues and any(busy.is_job and busy.step == verb.needs for busy in activity.current(project.folder))
-    if verb.needs and not coming and not project.has(verb.needs):
+    if not verb.needs or coming or project.has(verb.needs) or awaited(project, verb.needs):
+        return True
+    if verb.needs == "dataset" and context.scene.snerg.dataset:
+        verb.poll_message_set(f"{project.dataset} holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there")
+    else:
         verb.poll_message_set(MISSING[verb.needs])
-        return False
-    return True
+    return False
+
+
+def awaited(project: Project, step: str) -> Path | None:
+    """The new version of 'field' or 'scene' that a job under way makes, the last where there are several; None where none does."""
+    verb = {"field": "train", "scene": "bake"}.get(step)
+    for folder in reversed(folders.live_jobs(project.folder)):
+        command = [str(part) for part in folders.read_record(folder).get("command", [])]
+        if verb in command and "--out" in command[:-1]:
+            return Path(command[command.index("--out") + 1])
+    return None
 
 
 def _print_progress(label: str) -> Any:

@@ -12,8 +12,9 @@ from ..core.describe import is_dataset
 from ..core.errors import SnergError
 from ..core.files import check_replaceable
 from ..snerg_addon.activity import Steps, Work
-from ..snerg_addon.bridge import box_from_blender, resolution
+from ..snerg_addon.bridge import box_from_blender, box_of, resolution
 from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated, render_steps, unfinished
+from ..snerg_addon.owner import shown
 from ..snerg_addon.project import Project, project_of, remember
 from ..snerg_addon.render_job import render_job
 from .job_runner import LongVerb
@@ -38,7 +39,7 @@ class SNERG_OT_render_dataset(LongVerb, bpy.types.Operator):
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """From a copy of the file, in a process of its own; in a script's own process, which has no window to keep free."""
         scene, settings = context.scene, context.scene.snerg
-        box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
+        box = box_from_blender(box_of(scene), evaluated(scene)) if box_of(scene) else None
         shots = chosen_shots(context)
         core_cameras(scene, shots)  # refuses at once what could not be rendered later
         for folder in (project.own_dataset, unfinished(project.own_dataset)):
@@ -69,7 +70,7 @@ class SNERG_OT_use_views(bpy.types.Operator):
         if not is_dataset(part):
             self.report({"ERROR"}, "No view has been rendered yet; render the dataset first.")
             return {"CANCELLED"}
-        context.scene.snerg.dataset = str(part)
+        context.scene.snerg.dataset = shown(part)
         return {"FINISHED"}
 
 
@@ -77,7 +78,7 @@ def chosen_shots(context: bpy.types.Context) -> list[Shot]:
     """What the settings say to render from, by name. Raises SnergError when that is nothing."""
     settings = context.scene.snerg
     if settings.cameras == "RIG":
-        box = box_from_blender(settings.box, evaluated(context.scene))
+        box = box_from_blender(box_of(context.scene), evaluated(context.scene))
         return list(rig_cameras(box, rig_settings(context), *resolution(context.scene)))
     return scene_cameras(context, settings.cameras)
 

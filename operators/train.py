@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
+from ..snerg_addon.curve import curve_of
 from ..snerg_addon.project import Project, remember
 from .job_runner import LongVerb
 
@@ -23,25 +25,40 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """`train` of the command line."""
-        arguments = training_arguments(context.scene, project)
-        project.note("training", {"arguments": arguments})
+        scene = context.scene
+        out = unfinished(scene, project) or project.new_version("field")
+        arguments = training_arguments(scene, project, out)
+        project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
+        project.note_settings(out, arguments[arguments.index("--preset") :])
         return start_verb(arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and why it went as it did."""
-        remember(project, "field", project.field, result, decisions=result.get("decisions", []))
+        folder = project.folder / "fields" / Path(result["field"]).name  # the project may have been moved since
+        remember(project, "field", folder, result, decisions=result.get("decisions", []))
         quality = f" at {result['psnr']:.1f} dB" if isinstance(result.get("psnr"), float) else ""
-        return f"Trained the field{quality}; it is in {project.field}"
+        return f"Trained the field{quality}; it is in {folder}"
 
 
-def training_arguments(scene: bpy.types.Scene, project: Project) -> list[str]:
-    """What to start: an unfinished training goes on only with the same."""
+def unfinished(scene: bpy.types.Scene, project: Project) -> Path | None:
+    """The version that training with these settings goes on with: the last that was started with just them, where it was stopped."""
+    last = project.notes().get("training", {})
+    out = project.folder / str(last.get("out", "field"))
+    curve = curve_of(out)
+    if curve is None or curve.fraction >= 1 or not (out / "field.npz").is_file() or project.note_of(out):
+        return None
+    return out if last.get("arguments") == training_arguments(scene, project) else None
+
+
+def training_arguments(scene: bpy.types.Scene, project: Project, out: Path | None = None) -> list[str]:
+    """What to start. out: None to compare with what was started before: an unfinished training goes on only with the same."""
     settings = scene.snerg
     background = settings.train_background
     if background == "colour":
         background = "#{:02x}{:02x}{:02x}".format(*(round(255 * value) for value in settings.train_colour))
     return [
-        *("train", str(project.dataset), "--out", str(project.field), "--preset", settings.preset, "--seed", str(settings.seed)),
+        *("train", *((project.key(project.dataset),) if out is None else (str(project.dataset), "--out", str(out)))),
+        *("--preset", settings.preset, "--seed", str(settings.seed)),
         *(("--steps", str(settings.steps)) if settings.steps else ("--minutes", f"{settings.minutes:g}")),
         *("--view-dependence", settings.view_dependence, "--background", background),
         *("--holdout", str(settings.test_every), "--downscale", str(settings.downscale)),

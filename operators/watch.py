@@ -15,7 +15,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity
+from ..snerg_addon import activity, saving
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
 from .job_runner import LongVerb, redraw
@@ -30,6 +30,7 @@ def tick() -> float:
     global _stale
     try:
         _stale = _stale or bool(activity.current())
+        saving.settle_all()
         find()
         for begun in activity.current():
             follow(begun)

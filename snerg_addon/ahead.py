@@ -15,7 +15,7 @@ from ..core.grid.box import Box
 from ..core.study.estimate import estimate
 from ..core.study.kept_survey import read_survey, stamp
 from ..core.study.survey import Survey
-from .bridge import box_from_blender, resolution
+from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 
 KEPT = 16  # answers: more than there are windows
@@ -45,7 +45,7 @@ def texts(context: bpy.types.Context) -> list[str]:
     survey = survey_of(project_of(context.scene))
     if survey is None:
         return []
-    settings, box = context.scene.snerg, context.scene.snerg.box
+    settings, box = context.scene.snerg, box_of(context.scene)
     try:
         volume = box_from_blender(box) if box and survey.field.ndc is None else survey.field.domain.world_box()
         wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, samples=settings.samples)

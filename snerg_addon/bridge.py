@@ -145,6 +145,12 @@ def temporary_camera() -> Iterator[bpy.types.Object]:
         bpy.data.cameras.remove(data)
 
 
+def box_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object that is the scene's box; None where none is chosen, or it was deleted: the setting alone keeps its data-block."""
+    box = scene.snerg.box
+    return box if box is not None and scene.objects.get(box.name) == box else None
+
+
 def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None = None) -> Box:
     """The box that a cube empty shows: half a side is its display size times its scale.
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import textwrap
+from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
 
-from ..operators.train import training_arguments
-from . import activity, ahead
-from .bridge import PREVIEW, STUDY, resolution
+from ..operators.train import unfinished
+from . import activity, ahead, saving
+from .bridge import PREVIEW, STUDY, box_of, resolution
 from .capture import views_there
 from .curve import Curve, curve_of
-from .project import Project, is_temporary, project_of
+from .owner import offered
+from .project import Project, project_of
 from .properties import LOSSY
 
 LINE = 44  # characters of a sentence in the sidebar as it opens
@@ -34,16 +36,33 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
         """Progress while something runs, else what to do next."""
         layout, scene = self.layout, context.scene
         row = layout.row(align=True)
-        row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER")
+        row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
         row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
-        if is_temporary(scene):
-            layout.label(text="Save the .blend to keep your work", icon="ERROR")
         project = project_of(scene).folder
+        draw_owner(layout, scene)
         for busy in activity.current(project):
             draw_progress(layout, busy)
         draw_last(layout, activity.said(project))
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
+
+
+def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Whose project is shown, and the other one that the artist may mean."""
+    if not bpy.data.filepath:
+        layout.label(text="Saving the file moves the project beside it", icon="INFO")
+        for folder in saving.forgotten()[:1]:
+            row = layout.row()
+            row.label(text="Work of a file that was never saved")
+            row.operator("snerg.adopt_project", text="Use It Here").folder = str(folder)
+        return
+    layout.label(text=f"Project of {Path(bpy.data.filepath).name}, {scene.name}", icon="FILE_BLEND")
+    if other := offered(scene):
+        column = layout.box().column(align=True)
+        said = f"The folder {other[0].parent.name}/{other[0].name} belongs to {other[1]}. This scene begins a project of its own."
+        for index, line in enumerate(textwrap.wrap(said, LINE)):
+            column.label(text=line, icon="BLANK1" if index else "INFO")
+        column.operator("snerg.adopt_project").folder = str(other[0])
 
 
 def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
@@ -73,7 +92,7 @@ def next_step(scene: bpy.types.Scene) -> str:
     if not project.has("scene"):
         if not project.has("field"):
             return "Next: train a field" if project.has("dataset") else "Next: render or import a dataset"
-        return "Next: bake" if scene.snerg.box else "Next: add a box, then bake"
+        return "Next: bake" if box_of(scene) else "Next: add a box, then bake"
     if bpy.data.images.get(PREVIEW) is None:
         return "Next: preview or export"
     return "Next: export the web page" if not project.has("web") else "All steps are done"
@@ -140,7 +159,7 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
             column.prop(settings, "rig_shape")
             column.prop(settings, "rig_angle")
             column.prop(settings, "rig_distance")
-            if settings.box is None:
+            if box_of(context.scene) is None:
                 column.label(text="The rig needs a box", icon="INFO")
         column.prop(settings, "test_every")
         layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
@@ -199,24 +218,59 @@ class SNERG_PT_field(_Step, bpy.types.Panel):
         if settings.train_background == "colour":
             layout.prop(settings, "train_colour")
         layout.prop(settings, "downscale")
-        curve = curve_of(project.field)
-        layout.operator("snerg.train", icon="PLAY", text="Continue Training" if goes_on(context.scene, curve) else "Train Field")
+        curve = curve_of(shown_training(project))
+        layout.operator("snerg.train", icon="PLAY", text="Continue Training" if goes_on(context.scene) else "Train Field")
         layout.operator("snerg.import_field", icon="IMPORT")
         note = project.notes().get("field", {})
         if curve is not None:
             facts(layout, curve.bars, *curve_texts(curve))
         if project.has("field"):
-            facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there")
+            facts(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "A field is there", *made(project, "field"))
             for decision in note.get("decisions", []):
                 draw_decision(layout, decision)
+        draw_versions(layout, project, "field")
 
 
-def goes_on(scene: bpy.types.Scene, curve: Curve | None) -> bool:
+def goes_on(scene: bpy.types.Scene) -> bool:
     """Whether training now would go on with one that was stopped: it did not reach its end, and nothing was set otherwise since."""
     project = project_of(scene)
-    if curve is None or curve.fraction >= 1 or not project.has("field"):
-        return False
-    return project.notes().get("training", {}).get("arguments") == training_arguments(scene, project)
+    return not training_runs(project) and unfinished(scene, project) is not None
+
+
+def training_runs(project: Project) -> bool:
+    """Whether a training of the project is under way."""
+    return any(begun.step == "field" for begun in activity.current(project.folder))
+
+
+def shown_training(project: Project) -> Path:
+    """The version whose curve is shown: the one that is trained now, else the one in use."""
+    last = project.notes().get("training", {}).get("out")
+    return project.folder / str(last) if last and training_runs(project) else project.field
+
+
+def made(project: Project, step: str) -> list[str]:
+    """When the version in use was made, and with which settings, on as many lines as it takes."""
+    version = project.in_use(step)
+    return textwrap.wrap(joined(str(project.note_of(version).get("when", "")), project.settings_of(version)), LINE)
+
+
+def draw_versions(layout: bpy.types.UILayout, project: Project, step: str) -> None:
+    """A line a version, the newest first: which is in use, its quality, and what can be done with it."""
+    in_use = project.in_use(step)
+    column = layout.column(align=True)
+    for version in reversed(project.versions(step)):
+        note, row = project.note_of(version), column.row(align=True)
+        quality = decibels(note) or ("" if note else "stopped" if step == "field" else "")
+        use = row.operator(
+            "snerg.use_version",
+            text=joined(project.name_of(version), quality, megabytes(note)),
+            icon="RADIOBUT_ON" if version == in_use else "RADIOBUT_OFF",
+            depress=version == in_use,
+        )
+        rename = row.operator("snerg.rename_version", text="", icon="GREASEPENCIL")
+        delete = row.operator("snerg.delete_version", text="", icon="TRASH")
+        for button in (use, rename, delete):
+            button.step, button.version = step, version.name
 
 
 def curve_texts(curve: Curve) -> tuple[str, str]:
@@ -251,15 +305,18 @@ class SNERG_PT_box(_Step, bpy.types.Panel):
     bl_idname = "SNERG_PT_box"
 
     def is_done(self, context: bpy.types.Context) -> bool:
-        """A box is chosen."""
-        return context.scene.snerg.box is not None
+        """A box is chosen, and was not deleted since."""
+        return box_of(context.scene) is not None
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """Choose or add one; move it like any object."""
         layout.prop(settings, "box", icon="EMPTY_AXIS")
         layout.operator("snerg.add_box", icon="CUBE")
-        if settings.box:
-            size = [2 * abs(s) * settings.box.empty_display_size for s in settings.box.matrix_world.to_scale()]
+        box = box_of(context.scene)
+        if settings.box and box is None:
+            facts(layout, f"{settings.box.name} was deleted: there is no box")
+        if box:
+            size = [2 * abs(s) * box.empty_display_size for s in box.matrix_world.to_scale()]
             unit = context.scene.unit_settings
             texts = [bpy.utils.units.to_string(unit.system, "LENGTH", s * unit.scale_length, precision=3) for s in size]
             facts(layout, " x ".join(texts), "Move, turn and scale it in the view")
@@ -290,7 +347,8 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         note = project.notes().get("scene", {})
         if project.has("scene"):
             blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
-            facts(layout, joined(decibels(note), blocks, megabytes(note)) or "A baked scene is there")
+            facts(layout, joined(decibels(note), blocks, megabytes(note)) or "A baked scene is there", *made(project, "scene"))
+        draw_versions(layout, project, "scene")
 
 
 class SNERG_PT_preview(_Step, bpy.types.Panel):

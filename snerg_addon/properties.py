@@ -23,10 +23,14 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
 
     folder: StringProperty(
         name="Project Folder",
-        description="Where the dataset, the field, the baked scene and the exports go. Beside the .blend file by default",
+        description="Where the dataset, the fields, the baked scenes and the exports go. "
+        "Empty: a folder of this file and scene, beside the .blend",
         subtype="DIR_PATH",
         options=RELATIVE_PATHS,
-        default="//snerg",
+        default="",
+    )
+    project_id: StringProperty(
+        name="Project", description="Tells this scene's project from those of copies", options={"HIDDEN"}, default=""
     )
     dataset: StringProperty(
         name="Dataset",

@@ -8,7 +8,7 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, panels, properties
+from . import command, panels, properties, saving
 
 CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES)
 _commands: list[Any] = []
@@ -21,12 +21,14 @@ def register() -> None:
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
     quit.add_keys()
+    saving.register()
     watch.register()
 
 
 def unregister() -> None:
     """Watch nothing any more, then take everything back in reverse."""
     watch.unregister()
+    saving.unregister()
     quit.remove_keys()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())

@@ -13,6 +13,7 @@ from ..errors import SnergError
 from ..files import read_json
 
 DATA_VOXELS = 30  # a macroblock's own voxels along an axis
+SHEAR = 1e-4  # cosine between two sides of a box: what rounding leaves in Blender's float32 matrices stays below
 CELL_VOXELS = 32  # with the apron of one voxel on each side, as stored in the atlas
 
 
@@ -50,6 +51,9 @@ class Box:
         lengths = np.linalg.norm(matrix[:3, :3], axis=0)
         if lengths.min() < 1e-12:
             raise SnergError("The box has no volume; scale it above 0 on all three axes.")
+        cosines = (matrix[:3, :3] / lengths).T @ (matrix[:3, :3] / lengths) - np.eye(3)
+        if np.abs(cosines).max() > SHEAR:
+            raise SnergError("The box is sheared by a parent that is turned and scaled unevenly; apply the parent's scale, or clear it.")
         pose = matrix.copy()
         if np.linalg.det(pose[:3, :3]) < 0:  # a mirrored box is the same box with one axis turned round
             pose[:3, 0] *= -1

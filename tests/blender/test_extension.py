@@ -143,3 +143,16 @@ def test_every_operator_in_order(light_zip, tmp_path):
     assert result["notes"]["field"]["steps"] == 60 and result["notes"]["scene"]["blocks"] > 0 and result["scene_psnr"] > 5
     assert not [name for name in result["rest"] if name.endswith((".part", ".old"))]
     assert len(json.loads((tmp_path / "project" / "cameras.json").read_text())["frames"]) == 10
+
+
+def test_registers_where_blender_allows_no_data_yet(addon, monkeypatch):
+    """As Blender enables extensions: before a file is open, with nothing in `bpy.data` but what its own stand-in has."""
+    import _bpy_restrict_state
+    import bpy
+
+    import snerg
+
+    snerg.unregister()
+    with monkeypatch.context() as restricted:
+        restricted.setattr(bpy, "data", _bpy_restrict_state._data_restrict)
+        snerg.register()

@@ -198,3 +198,15 @@ def test_real_captures_stand_upright_round_the_box(scene, data, name, size, view
     poses = np.array([np.array(thing.matrix_world) for thing in cameras])
     assert poses[:, 2, 1].mean() > 0.3  # the pictures' up is up
     assert np.linalg.norm(poses[:, :3, 3], axis=-1).max() < 50
+
+
+def test_a_chosen_dataset_is_kept_relative_to_the_file(scene, tmp_path):
+    """So that a folder that is moved or copied with its .blend finds its photographs."""
+    folder = write_capture(tmp_path / "work" / "photos")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work" / "a.blend"), check_existing=False)
+    try:
+        bpy.ops.snerg.import_dataset(filepath=str(folder))
+        assert bpy.context.scene.snerg.dataset.rstrip("/") == "//photos"
+        assert project_of(bpy.context.scene).dataset == folder
+    finally:
+        bpy.ops.wm.read_homefile(app_template="")

@@ -71,6 +71,13 @@ def slow(go: Path, result: dict) -> Job:
     return Job([sys.executable, "-c", SLOW_JOB.format(go=str(go), result=result)], job_environment())
 
 
+def a_field(project) -> str:
+    """A new version of the field, as a training leaves it."""
+    version = project.new_version("field")
+    (version / "field.npz").write_bytes(b"a field")
+    return str(version)
+
+
 def a_verb(operator: str, work) -> type:
     """A long verb that starts `work`; its result is finished by the real operator of that name."""
 
@@ -89,7 +96,7 @@ def launch(operator: str, work) -> Activity:
 
 def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
     project = project_of(scene)
-    launch("snerg.train", slow(tmp_path / "go", {"psnr": 31.25, "steps": 60}))
+    launch("snerg.train", slow(tmp_path / "go", {"psnr": 31.25, "steps": 60, "field": a_field(project)}))
     until(lambda: activity.current()[0].work.message == "working")
     assert activity.current(project.folder)[0].outlives and activity.current(tmp_path) == []
     (tmp_path / "go").touch()
@@ -101,7 +108,7 @@ def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
     """Blender forgets everything, as when it closes; a second load of the file finds the job, then its result, then nothing more."""
     project = project_of(scene)
-    launch("snerg.train", slow(tmp_path / "go", {"psnr": 30.0}))
+    launch("snerg.train", slow(tmp_path / "go", {"psnr": 30.0, "field": a_field(project)}))
     activity.stop()
     watch.tick()
     begun = activity.current()[0]

@@ -189,11 +189,6 @@ def test_the_box_fits_round_what_is_selected(scene):
     assert scene.snerg.box.location.x == pytest.approx(4.75)
 
 
-def test_an_unsaved_file_keeps_its_project_in_blenders_temporary_folder(scene):
-    scene.snerg.property_unset("folder")
-    assert project_of(scene).folder == Path(bpy.app.tempdir) / "snerg"
-
-
 def test_steps_end_as_jobs_do():
     def good():
         yield 0.5, "half"
@@ -210,3 +205,19 @@ def test_steps_end_as_jobs_do():
     stopped.cancel()
     with pytest.raises(Cancelled):
         stopped.wait()
+
+
+def test_a_page_needs_no_cameras(scene, monkeypatch):
+    """It begins with a view of the whole box."""
+    assert "--cameras" not in started(monkeypatch, "export_web")
+    scene.snerg.web_cameras = "SELECTED"
+    with pytest.raises(SnergError, match="no camera selected"):
+        started(monkeypatch, "export_web")
+    scene.snerg.web_cameras = "ALL"
+    add_camera()
+    assert "--cameras" in started(monkeypatch, "export_web")
+
+
+def test_what_is_wrong_with_a_dataset_folder_is_said(scene, tmp_path):
+    scene.snerg.dataset = str(tmp_path / "nowhere")
+    refused("train", "nowhere.*no transforms.json")
