@@ -7,9 +7,9 @@ from typing import Any
 import bpy
 
 from .. import operators
-from . import activity, command, panels, properties
+from . import activity, command, menus, panels, properties
 
-CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES)
+CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES, *menus.CLASSES)
 _commands: list[Any] = []
 
 
@@ -18,6 +18,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
+    menus.register()
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
 
 
@@ -26,6 +27,7 @@ def unregister() -> None:
     activity.stop()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
+    menus.unregister()
     del bpy.types.Scene.snerg
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
