@@ -7,6 +7,9 @@ draw. What it saw is written to FOLDER/WALK.json, with the pictures of the windo
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import subprocess
 import sys
 import time
 import traceback
@@ -20,7 +23,7 @@ import bpy
 TICK_SECONDS = 0.03
 SIDEBAR_MARGIN = 90  # pixels from the sidebar's left edge, where every row of a panel has its button
 TAB_MARGIN = 8  # pixels from its right edge, where the tabs are
-ROW = 8  # pixels, less than half a button's height
+ROW = 12  # pixels, less than a button's height
 Walk = Iterator[None]
 
 
@@ -75,7 +78,6 @@ class Window:
         self.send(kind, "PRESS", **modifiers)
         self.send(kind, "RELEASE", **modifiers)
         yield
-        yield
 
     def type(self, text: str) -> Walk:
         """Letters and spaces, as a keyboard gives them."""
@@ -108,7 +110,7 @@ class Window:
             yield from self.until(lambda: self.sidebar.width > 1, 5)
         sidebar = self.sidebar
         x, top = sidebar.x + sidebar.width - TAB_MARGIN, sidebar.y + sidebar.height
-        for y in range(top - ROW, sidebar.y, -3 * ROW):
+        for y in range(top - ROW, sidebar.y, -2 * ROW):
             if sidebar.active_panel_category == "SNeRG":
                 break
             yield from self.move(x, y)
@@ -126,18 +128,22 @@ class Window:
         sidebar = self.sidebar
         x, top = sidebar.x + (sidebar.width - from_right if from_right else SIDEBAR_MARGIN), sidebar.y + sidebar.height
         yield from self.move(x, top - ROW)
-        for _ in range(30):
-            yield from self.press("WHEELUPMOUSE")
+        yield from self.scroll("WHEELUPMOUSE", 40)
         for _page in range(5):
             for y in range(top - ROW, sidebar.y + ROW, -ROW):
-                yield from self.move(x, y)
                 bpy.context.window_manager.clipboard = ""
+                yield from self.move(x, y)
                 yield from self.press("C", ctrl=True)
                 if bpy.context.window_manager.clipboard.startswith(f"bpy.ops.{operator}("):
                     return
-            for _ in range(8):
-                yield from self.press("WHEELDOWNMOUSE")
+            yield from self.scroll("WHEELDOWNMOUSE", 8)
         raise AssertionError(f"The sidebar has no button for {operator}")
+
+    def scroll(self, wheel: str, times: int) -> Walk:
+        """Turn the mouse's wheel."""
+        for _ in range(times):
+            self.send(wheel, "PRESS")
+        yield from self.wait(0.3)
 
     def click(self, operator: str, from_right: int = 0) -> Walk:
         """Click a button of the sidebar."""
@@ -148,8 +154,16 @@ class Window:
         """Keep what the window shows as FOLDER/NAME.png, without the button under the pointer lit up."""
         yield from self.over_view()
         yield from self.wait(0.4)
-        with bpy.context.temp_override(window=self.window):
-            bpy.ops.screen.screenshot(filepath=str(self.folder / f"{name}.png"))
+        self.shoot(name)
+
+    def shoot(self, name: str) -> None:
+        """The same at once. Where Blender draws by software its own screenshots are black: ImageMagick takes the screen's."""
+        path = str(self.folder / f"{name}.png")
+        if os.environ.get("DISPLAY") and shutil.which("import"):
+            subprocess.run(["import", "-window", "root", path], check=True)
+        else:
+            with bpy.context.temp_override(window=self.window):
+                bpy.ops.screen.screenshot(filepath=path)
 
     def texts(self, panel: str) -> list[str]:
         """What a panel ('main', 'field', ...) says, as it would be drawn now: labels, and the texts of buttons and bars."""
@@ -231,8 +245,7 @@ def main() -> None:
             pass
         except Exception as error:  # of the walk: the test shows it
             window.seen["error"] = f"{type(error).__name__}: {error}\n{traceback.format_exc()}"
-            with bpy.context.temp_override(window=window.window):
-                bpy.ops.screen.screenshot(filepath=str(window.folder / "error.png"))
+            window.shoot("error")
         window.write()
         bpy.ops.wm.quit_blender()
         return None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-STATUS_ROWS, STATUS_COLUMNS = 18, 500  # pixels of the status bar's left part, where it tells what runs
+STATUS_ROWS, STATUS_COLUMNS = 18, 200  # pixels of the status bar's left part, where it tells what runs
 EMPTY = "Next: render or import a dataset"
 
 
@@ -31,25 +31,24 @@ def training(blender, photos):
     return seen
 
 
-def test_a_fresh_training_is_not_called_continued(training):
-    assert not says(training["field"], "Continue"), training["field"]
-
-
 def test_esc_while_the_timeline_plays_stops_the_timeline_alone(training):
-    assert training["plays"] and not training["plays_after_esc"]
+    assert training["plays"], "Space did not play the timeline"
     assert training["busy_after_esc"], "Esc over the 3D view stopped the training"
+    assert training["ends"], "Esc did not stop the timeline"
 
 
 def test_a_job_is_stopped_by_its_button_and_leaves_the_status_bar(training, blender):
     assert training["PAGE_DOWN"] and training["PAGE_UP"] and training["stopped"]
-    before, after = (status_bar(blender.folder("training") / f"{name}.png") for name in ("before", "after"))
-    assert np.abs(before - after).mean() < 1, "The status bar still tells of the job that ended; compare before.png and after.png"
+    before, after = (picture(blender.folder("training") / f"{name}.png") for name in ("before", "after"))
+    assert before.std() > 0, "The pictures show nothing: install ImageMagick where Blender runs"
+    change = np.abs(before - after)[-STATUS_ROWS:, :STATUS_COLUMNS]
+    assert change.mean() < 1, "The status bar still tells of the job that ended; compare before.png and after.png"
 
 
-def status_bar(picture):
-    """[STATUS_ROWS, STATUS_COLUMNS] grey levels of a picture of the window."""
-    with Image.open(picture) as opened:
-        return np.asarray(opened.convert("L"), np.float32)[-STATUS_ROWS:, :STATUS_COLUMNS]
+def picture(path):
+    """[H, W] grey levels of a picture of the window."""
+    with Image.open(path) as opened:
+        return np.asarray(opened.convert("L"), np.float32)
 
 
 def test_a_box_deleted_with_x_is_none(blender):
@@ -86,8 +85,8 @@ def test_import_dataset_proposes_no_name_and_keeps_a_relative_path(blender, phot
 
 def test_the_window_answers_while_a_dataset_is_rendered(blender):
     seen = blender.walk("rendering")
-    assert seen["started"] and seen["ended"] and says(seen["main"], "Next: train"), seen
     assert seen["longest_pause"] < 1.5, f"The window did not answer for {seen['longest_pause']:.1f} s"
+    assert seen["started"] and seen["ended"] and says(seen["main"], "Next: train"), seen
 
 
 def test_a_training_goes_on_when_blender_quits(blender, photos):

@@ -31,17 +31,19 @@ def training(window: Window, photos: str) -> Walk:
     yield from window.click("snerg.train")
     window.seen["started"] = yield from window.until(window.busy, 20)
     window.seen["advanced"] = yield from window.until(lambda: any("steps," in text for text in window.texts("field")), 120)
-    window.seen["field"] = window.texts("field")
     yield from window.picture("training")
     yield from play_and_escape(window)
     yield from window.wait(4)
     window.seen["busy_after_esc"] = window.busy()
     yield from window.picture("after-esc")
+    if not window.busy():
+        yield from window.click("snerg.train")
+        yield from window.until(window.busy, 20)
+        yield from window.wait(1)
     yield from another_workspace(window, "PAGE_DOWN")
     yield from window.wait(1)
-    if window.busy():
-        yield from window.open_sidebar()
-        yield from window.click("snerg.cancel", FROM_RIGHT)
+    yield from window.open_sidebar()
+    yield from window.click("snerg.cancel", FROM_RIGHT)
     window.seen["stopped"] = yield from window.until(lambda: not window.busy(), 60)
     yield from window.picture("elsewhere")
     yield from another_workspace(window, "PAGE_UP")
@@ -55,7 +57,7 @@ def play_and_escape(window: Window) -> Walk:
     yield from window.press("SPACE")
     window.seen["plays"] = yield from window.until(lambda: window.window.screen.is_animation_playing, 5)
     yield from window.press("ESC")
-    window.seen["plays_after_esc"] = window.window.screen.is_animation_playing
+    window.seen["ends"] = yield from window.until(lambda: not window.window.screen.is_animation_playing, 3)
 
 
 def another_workspace(window: Window, key: str) -> Walk:
@@ -138,8 +140,7 @@ def search(window: Window) -> Walk:
     yield from window.wait(0.5)
     yield from window.type("snerg add box")
     yield from window.wait(0.5)
-    with bpy.context.temp_override(window=window.window):
-        bpy.ops.screen.screenshot(filepath=str(window.folder / "search.png"))
+    window.shoot("search")
     yield from window.press("RET")
     yield from window.wait(0.5)
     window.seen["box"] = window.settings.box is not None
@@ -153,10 +154,9 @@ def import_dialog(window: Window, photos: str) -> Walk:
     yield from window.until(lambda: browser(window) is not None, 10)
     parameters = browser(window).spaces.active.params
     window.seen["proposed"] = parameters.filename
-    parameters.directory = photos.encode()
+    parameters.directory, parameters.filename = photos.encode(), ""
     yield from window.wait(1)
-    with bpy.context.temp_override(window=window.window):
-        bpy.ops.screen.screenshot(filepath=str(window.folder / "browser.png"))
+    window.shoot("browser")
     area = browser(window)
     with bpy.context.temp_override(window=window.window, area=area, region=area.regions[-1]):
         bpy.ops.file.execute()
