@@ -35,7 +35,7 @@ def baked(blender, folder, trained):
 
 
 def test_info(blender, photos):
-    assert answer(blender.snerg("info", str(photos), "--json"))["train"] == 12
+    assert answer(blender.snerg("info", str(photos), "--json"))["splits"] == {"train": 12, "test": 3}
 
 
 def test_train(blender, photos, folder):

@@ -90,7 +90,7 @@ def test_the_window_answers_while_a_dataset_is_rendered(blender):
 
 
 def test_a_training_goes_on_when_blender_quits(blender, photos):
-    steps = 1500
+    steps = 200
     left = blender.walk("leave", photos, steps)
     assert left["started"]
     back = blender.walk_on("come_back", blender.folder("leave"))

@@ -216,7 +216,7 @@ def come_back(window: Window) -> Walk:
     yield from window.wait(1)
     window.seen["main_at_first"] = window.texts("main")
     yield from window.picture("back")
-    yield from window.until(lambda: not window.busy(), 150)
+    yield from window.until(lambda: not window.busy(), 200)
     window.seen["field"] = window.texts("field")
     yield from window.picture("ended")
 
