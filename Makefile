@@ -1,5 +1,6 @@
 # `make demo` and `make test` are all that a newcomer needs; both set up what they use.
 # Another Python has a virtual environment of its own: make test PYTHON=python3.13
+# So has another release of bpy, on which only the tests of Blender run: make test PYTHON=python3.13 BPY=5.3.0
 
 find_python = $(shell for name in $(1); do \
 	"$$name" -c 'import sys; print(sys.executable)' 2>/dev/null && break; \
@@ -9,11 +10,11 @@ find_python = $(shell for name in $(1); do \
 PYTHON ?= python3.11 python3.13 python3
 INTERPRETER := $(call find_python,$(PYTHON))
 VERSION := $(shell "$(INTERPRETER)" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)
-VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))
+VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(BPY))
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow lint format extension clean python
+.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow test-blender lint format extension clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -26,7 +27,8 @@ python:
 
 $(VENV)/.installed: requirements.txt pyproject.toml | python
 	test -x $(PY) || "$(INTERPRETER)" -m venv $(VENV) || { rm -rf $(VENV); echo "This Python cannot make virtual environments; install its venv module." >&2; exit 2; }
-	$(PY) -m pip install --disable-pip-version-check -q -r requirements.txt
+	sed '$(if $(BPY),s/^bpy==.*/bpy==$(BPY)/)' requirements.txt > $(VENV)/requirements.txt
+	$(PY) -m pip install --disable-pip-version-check -q -r $(VENV)/requirements.txt
 	$(PY) -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
 	touch $@
 
@@ -59,10 +61,14 @@ fuzz: setup
 	$(PY) bench/fuzz.py --count $(or $(N),5000) --seed $(or $(SEED),0)
 
 test: setup
-	$(PY) -m pytest
+	$(PY) -m pytest $(if $(BPY),tests/blender)
 
 test-slow: setup
 	$(PY) -m pytest -m slow || [ $$? -eq 5 ] # 5: there are none
+
+# BLENDER=/path/to/blender: a full one, of 4.5 or newer, whose Python has JAX, Pillow and msgpack. Pictures: build/window.
+test-blender: setup
+	BLENDER="$(BLENDER)" $(PY) -m pytest -m window -rs tests/window
 
 # mypy wants the root to be called snerg, whatever the clone is called.
 lint: $(VENV)/.installed

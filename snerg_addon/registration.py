@@ -8,9 +8,9 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, panels, properties, saving
+from . import command, menus, panels, properties, saving
 
-CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES)
+CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES, *menus.CLASSES)
 _commands: list[Any] = []
 
 
@@ -19,6 +19,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
+    menus.register()
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
     quit.add_keys()
     saving.register()
@@ -32,6 +33,7 @@ def unregister() -> None:
     quit.remove_keys()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
+    menus.unregister()
     del bpy.types.Scene.snerg
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

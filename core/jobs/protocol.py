@@ -27,11 +27,13 @@ from pathlib import Path
 from typing import Any, Protocol, TextIO
 
 from ..errors import Cancelled, SnergError
+from ..interrupt import PATIENCE, deadline, leave
 from . import folder as folders
 
 EXIT_ERROR = 2
 EXIT_CANCELLED = 3
 GRACE_SECONDS = 15.0  # for a job to put its work away after it was told to stop, before it ends itself
+SAVE_SECONDS = PATIENCE + 15.0  # for a job that is saving when it is told to stop
 LISTEN_SECONDS = 0.1  # between looks whether to stop
 TURN_SECONDS = 0.2  # between looks whether it is the job's turn
 LOCK_SECONDS = 5.0  # in which a job's own lock, which others only ever hold to look at it, must be had
@@ -172,6 +174,10 @@ def _wait_for_end_of_input(reporter: JobReporter) -> None:
     reporter.stopping.set()
 
 
+def _keep_waiting() -> None:
+    """The result is being saved: whoever asked to stop waits for that."""
+
+
 def run_job(work: Callable[[Progress], dict[str, Any]]) -> int:
     """Run `work(progress)` as a job from beginning to end, when its turn has come; returns the exit code (0, 2 or 3).
 
@@ -180,8 +186,10 @@ def run_job(work: Callable[[Progress], dict[str, Any]]) -> int:
     reporter = job_reporter()
     if code := await_turn():
         return code
+    reporter.grace_seconds = SAVE_SECONDS  # the deadline ends what does not stop, and lets what is being saved finish
     try:
-        result = work(reporter)
+        with deadline(reporter.stopping, lambda: leave(EXIT_CANCELLED, lambda: reporter.cancelled(reporter.last_words)), _keep_waiting):
+            result = work(reporter)
     except Cancelled as stop:
         reporter.cancelled(str(stop))
         return EXIT_CANCELLED

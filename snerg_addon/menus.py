@@ -1,0 +1,47 @@
+"""The steps as a menu of the 3D view: Blender's search (F3) finds only what some menu has."""
+
+from __future__ import annotations
+
+import bpy
+
+STEPS = (
+    ("snerg.render_dataset", "snerg.import_dataset"),
+    ("snerg.train", "snerg.import_field"),
+    ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene"),
+    ("snerg.preview", "snerg.study"),
+    ("snerg.export_web", "snerg.export_scene"),
+)
+
+
+class SNERG_MT_steps(bpy.types.Menu):
+    """From Blender's cameras to a baked radiance field, in Blender and on a web page"""
+
+    bl_label = "SNeRG"
+    bl_idname = "SNERG_MT_steps"
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The steps in their order, each with its import."""
+        for index, operators in enumerate(STEPS):
+            if index:
+                self.layout.separator()
+            for operator in operators:
+                self.layout.operator(operator)
+
+
+def draw_entry(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """Its line in the 3D view's Object menu."""
+    self.layout.separator()
+    self.layout.menu(SNERG_MT_steps.bl_idname)
+
+
+def register() -> None:
+    """Append the line."""
+    bpy.types.VIEW3D_MT_object.append(draw_entry)
+
+
+def unregister() -> None:
+    """Take it out again."""
+    bpy.types.VIEW3D_MT_object.remove(draw_entry)
+
+
+CLASSES = (SNERG_MT_steps,)

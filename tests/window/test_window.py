@@ -1,0 +1,97 @@
+"""Blender's window by clicks and keys: what the panels say afterwards. The walks are in walks.py; pictures: build/window."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+
+STATUS_ROWS, STATUS_COLUMNS = 18, 200  # pixels of the status bar's left part, where it tells what runs
+EMPTY = "Next: render or import a dataset"
+
+
+def says(texts: list[str], pattern: str) -> bool:
+    """One of a panel's texts has the pattern in it."""
+    return any(re.search(pattern, text) for text in texts)
+
+
+def test_the_sidebar_has_its_tab_and_buttons(blender):
+    seen = blender.walk("sidebar")
+    assert seen["closed"] <= 1 < seen["open"]
+    assert seen["box"], "A click on Add Box added none"
+
+
+@pytest.fixture(scope="module")
+def training(blender, photos):
+    """Where the pictures are, and what the walk `training` saw."""
+    seen = blender.walk("training", photos)
+    assert seen["started"] and seen["advanced"], f"A click on Train Field started nothing: {seen}"
+    return seen
+
+
+def test_esc_while_the_timeline_plays_stops_the_timeline_alone(training):
+    assert training["plays"], "Space did not play the timeline"
+    assert training["busy_after_esc"], "Esc over the 3D view stopped the training"
+    assert training["ends"], "Esc did not stop the timeline"
+
+
+def test_a_job_is_stopped_by_its_button_and_leaves_the_status_bar(training, blender):
+    assert training["PAGE_DOWN"] and training["PAGE_UP"] and training["stopped"]
+    before, after = (picture(blender.folder("training") / f"{name}.png") for name in ("before", "after"))
+    assert before.std() > 0, "The pictures show nothing: install ImageMagick where Blender runs"
+    change = np.abs(before - after)[-STATUS_ROWS:, :STATUS_COLUMNS]
+    assert change.mean() < 1, "The status bar still tells of the job that ended; compare before.png and after.png"
+
+
+def picture(path):
+    """[H, W] grey levels of a picture of the window."""
+    with Image.open(path) as opened:
+        return np.asarray(opened.convert("L"), np.float32)
+
+
+def test_a_box_deleted_with_x_is_none(blender):
+    seen = blender.walk("box_deleted")
+    assert says(seen["box_before"], " x ") and not says(seen["dataset_before"], "needs a box") and seen["deleted"]
+    assert not says(seen["box"], " x "), f"The panel still shows the deleted box: {seen['box']}"
+    assert says(seen["dataset"], "needs a box"), "The rig still goes round the deleted box"
+
+
+def test_what_an_unsaved_file_made_moves_along_when_it_is_saved(blender):
+    seen = blender.walk("unsaved")
+    assert seen["started"] and seen["ended"] and says(seen["main_before"], "Next: train"), seen
+    assert says(seen["main"], "Next: train"), f"After saving, the dataset rendered before is lost: {seen['main']}"
+    assert seen["views"] == 4, f"{seen['views']} of 4 rendered views lie beside the saved file"
+
+
+def test_nothing_shows_another_files_or_scenes_results(blender, trained):
+    seen = blender.walk("second_file", trained)
+    assert not says(seen["first"], EMPTY) and seen["again"] == seen["first"]
+    assert says(seen["scene"], EMPTY), f"A new scene shows the first one's field: {seen['scene']}"
+    assert says(seen["second"], EMPTY), f"A new file beside the first shows that one's field: {seen['second']}"
+
+
+def test_the_search_finds_the_verbs(blender):
+    assert blender.walk("search")["box"], "F3, 'snerg add box', Enter added no box; see search.png"
+
+
+def test_import_dataset_proposes_no_name_and_keeps_a_relative_path(blender, photos):
+    seen = blender.walk("import_dialog", photos)
+    assert seen["proposed"] == "", f"The file browser proposes {seen['proposed']!r}"
+    assert seen["dataset"].startswith("//") and says(seen["main"], "Next: train"), seen
+    assert says(seen["wrong"], "nowhere"), f"No panel says what is wrong with the folder //nowhere: {seen['wrong']}"
+
+
+def test_the_window_answers_while_a_dataset_is_rendered(blender):
+    seen = blender.walk("rendering")
+    assert seen["longest_pause"] < 1.5, f"The window did not answer for {seen['longest_pause']:.1f} s"
+    assert seen["started"] and seen["ended"] and says(seen["main"], "Next: train"), seen
+
+
+def test_a_training_goes_on_when_blender_quits(blender, photos):
+    steps = 200
+    left = blender.walk("leave", photos, steps)
+    assert left["started"]
+    back = blender.walk_on("come_back", blender.folder("leave"))
+    assert says(back["field"], rf"\b{steps} steps"), f"The training did not reach its {steps} steps: {back['field']}"

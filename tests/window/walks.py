@@ -1,0 +1,229 @@
+"""What an artist does in Blender's window: one walk a function, whose `window` (drive.py) clicks, types and looks.
+
+A walk only notes what it sees, in `window.seen`; test_window.py says what it should have been.
+"""
+
+from __future__ import annotations
+
+import bpy
+from drive import Walk, Window
+
+FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
+
+
+def sidebar(window: Window) -> Walk:
+    """N, the tab, the buttons, and a click on one."""
+    window.seen["closed"] = window.sidebar.width
+    yield from window.open_sidebar()
+    window.seen["open"] = window.sidebar.width
+    for operator in ("snerg.render_dataset", "snerg.train", "snerg.bake"):
+        yield from window.find(operator)
+    yield from window.click("snerg.add_box")
+    window.seen["box"] = window.settings.box is not None
+    yield from window.picture("box")
+
+
+def training(window: Window, photos: str) -> Walk:
+    """Click Train; play the timeline and press Esc; another workspace and back; stop it there by the panel's button."""
+    yield from begin(window, "artwork", photos)
+    yield from window.picture("before")
+    window.settings.steps = 100000
+    yield from window.click("snerg.train")
+    window.seen["started"] = yield from window.until(window.busy, 20)
+    window.seen["advanced"] = yield from window.until(lambda: any("steps," in text for text in window.texts("field")), 120)
+    yield from window.picture("training")
+    yield from play_and_escape(window)
+    yield from window.wait(4)
+    window.seen["busy_after_esc"] = window.busy()
+    yield from window.picture("after-esc")
+    if not window.busy():
+        yield from window.click("snerg.train")
+        yield from window.until(window.busy, 20)
+        yield from window.wait(1)
+    yield from another_workspace(window, "PAGE_DOWN")
+    yield from window.wait(1)
+    yield from window.open_sidebar()
+    yield from window.click("snerg.cancel", FROM_RIGHT)
+    window.seen["stopped"] = yield from window.until(lambda: not window.busy(), 60)
+    yield from window.picture("elsewhere")
+    yield from another_workspace(window, "PAGE_UP")
+    yield from window.wait(1)
+    yield from window.picture("after")
+
+
+def play_and_escape(window: Window) -> Walk:
+    """Space plays the timeline, Esc ends that."""
+    yield from window.over_view()
+    yield from window.press("SPACE")
+    window.seen["plays"] = yield from window.until(lambda: window.window.screen.is_animation_playing, 5)
+    yield from window.press("ESC")
+    window.seen["ends"] = yield from window.until(lambda: not window.window.screen.is_animation_playing, 3)
+
+
+def another_workspace(window: Window, key: str) -> Walk:
+    """Ctrl-Page Down goes to the next one, Ctrl-Page Up back."""
+    before = window.window.workspace.name
+    yield from window.over_view()
+    yield from window.press(key, ctrl=True)
+    window.seen[key] = yield from window.until(lambda: window.window.workspace.name != before, 5)
+
+
+def box_deleted(window: Window) -> Walk:
+    """Add a box by its button, then delete it with X."""
+    yield from window.open_sidebar()
+    yield from window.click("snerg.add_box")
+    window.settings.cameras = "RIG"
+    window.seen["box_before"], window.seen["dataset_before"] = window.texts("box"), window.texts("dataset")
+    name = window.settings.box.name
+    yield from window.over_view()
+    yield from window.press("X")
+    yield from window.wait(0.3)
+    if name in window.window.scene.objects:  # it asks
+        yield from window.press("RET")
+        yield from window.wait(0.3)
+    window.seen["deleted"] = name not in window.window.scene.objects
+    window.seen["box"], window.seen["dataset"] = window.texts("box"), window.texts("dataset")
+    yield from window.picture("deleted")
+
+
+def unsaved(window: Window) -> Walk:
+    """Render a dataset in a file that was never saved, then save it."""
+    quick(window, 24, 1)
+    yield from window.open_sidebar()
+    yield from window.click("snerg.add_box")
+    window.settings.cameras, window.settings.rig_count, window.settings.test_every = "RIG", 4, 2
+    yield from window.click("snerg.render_dataset")
+    window.seen["started"] = yield from window.until(window.busy, 20)
+    window.seen["ended"] = yield from window.until(lambda: not window.busy(), 120)
+    window.seen["main_before"], window.seen["dataset_before"] = window.texts("main"), window.texts("dataset")
+    yield from window.picture("unsaved")
+    yield from window.file("save_as_mainfile", window.folder / "saved.blend")
+    yield from window.until(lambda: not window.busy(), 60)
+    yield from window.wait(1)
+    window.seen["main"], window.seen["dataset"] = window.texts("main"), window.texts("dataset")
+    window.seen["views"] = len([path for path in window.folder.rglob("*.png") if path.parent != window.folder])
+    yield from window.picture("saved")
+
+
+def quick(window: Window, size: int, samples: int) -> None:
+    """Set the scene to render pictures of `size` pixels a side."""
+    scene = window.window.scene
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", samples, False
+    scene.render.resolution_x = scene.render.resolution_y = size
+
+
+def second_file(window: Window, trained: str) -> Walk:
+    """A project with a field; a second scene in its file; a second file beside it; and the first file again."""
+    first = window.folder / "first.blend"
+    yield from begin(window, "first")
+    window.operator("import_field", filepath=trained)
+    yield from window.file("save_as_mainfile", first)
+    window.seen["first"] = window.texts("main") + window.texts("field")
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.scene.new(type="NEW")
+    yield from window.wait(0.5)
+    window.seen["scene"] = window.texts("main") + window.texts("field")
+    yield from window.picture("second-scene")
+    yield from window.file("read_homefile")
+    yield from window.file("save_as_mainfile", window.folder / "second.blend")
+    yield from window.open_sidebar()
+    window.seen["second"] = window.texts("main") + window.texts("field")
+    yield from window.picture("second-file")
+    yield from window.file("open_mainfile", first)
+    window.seen["again"] = window.texts("main") + window.texts("field")
+
+
+def search(window: Window) -> Walk:
+    """F3, a few letters, Enter."""
+    yield from window.over_view()
+    yield from window.press("F3")
+    yield from window.wait(0.5)
+    yield from window.type("snerg add box")
+    yield from window.wait(0.5)
+    window.shoot("search")
+    yield from window.press("RET")
+    yield from window.wait(0.5)
+    window.seen["box"] = window.settings.box is not None
+    yield from window.press("ESC")
+
+
+def import_dialog(window: Window, photos: str) -> Walk:
+    """Import Dataset: what the file browser proposes, and what comes of a folder chosen there."""
+    yield from begin(window, "artwork")
+    yield from window.click("snerg.import_dataset")
+    yield from window.until(lambda: browser(window) is not None, 10)
+    parameters = browser(window).spaces.active.params
+    window.seen["proposed"] = parameters.filename
+    parameters.directory, parameters.filename = photos.encode(), ""
+    yield from window.wait(1)
+    window.shoot("browser")
+    area = browser(window)
+    with bpy.context.temp_override(window=window.window, area=area, region=area.regions[-1]):
+        bpy.ops.file.execute()
+    yield from window.until(lambda: browser(window) is None, 10)
+    yield from window.wait(0.5)
+    yield from window.until(lambda: not window.busy(), 60)
+    window.seen["dataset"], window.seen["main"] = window.settings.dataset, window.texts("main")
+    yield from window.picture("imported")
+    window.settings.dataset = "//nowhere"
+    yield from window.wait(0.2)
+    window.seen["wrong"] = window.texts("dataset") + window.texts("main") + window.texts("field")
+    yield from window.picture("wrong-folder")
+
+
+def browser(window: Window) -> object:
+    """The area of the file browser, None when there is none."""
+    return next((area for area in window.window.screen.areas if area.type == "FILE_BROWSER"), None)
+
+
+def rendering(window: Window) -> Walk:
+    """Render views that take seconds each, and see how long the window does not answer."""
+    quick(window, 700, 200)
+    window.settings.cameras = "ALL"
+    yield from begin(window, "artwork")
+    yield from window.find("snerg.render_dataset")
+    window.longest_pause = 0.0
+    yield from window.press("LEFTMOUSE")
+    window.seen["started"] = yield from window.until(window.busy, 20)
+    window.seen["ended"] = yield from window.until(lambda: not window.busy(), 150)
+    window.seen["longest_pause"] = window.longest_pause
+    window.seen["main"] = window.texts("main")
+    yield from window.picture("rendered")
+
+
+def leave(window: Window, photos: str, steps: str) -> Walk:
+    """Start a training and quit with Ctrl-Q, in a file that has no unsaved changes."""
+    yield from begin(window, "artwork", photos)
+    window.settings.steps = int(steps)
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    yield from window.click("snerg.train")
+    window.seen["started"] = yield from window.until(window.busy, 20)
+    yield from window.wait(3)
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.write()
+    yield from window.over_view()
+    yield from window.press("Q", ctrl=True)
+    yield from window.wait(3)
+    yield from window.press("RET")  # where it asks first
+    yield from window.wait(5)
+    raise AssertionError("Blender did not quit")
+
+
+def come_back(window: Window) -> Walk:
+    """Open that file again."""
+    yield from window.file("open_mainfile", window.folder / "artwork.blend")
+    yield from window.open_sidebar()
+    yield from window.wait(1)
+    window.seen["main_at_first"] = window.texts("main")
+    yield from window.picture("back")
+    yield from window.until(lambda: not window.busy(), 200)
+    window.seen["field"] = window.texts("field")
+    yield from window.picture("ended")
+
+
+def begin(window: Window, name: str, photos: str = "") -> Walk:
+    """A saved file with the sidebar open, which trains on `photos`."""
+    yield from window.file("save_as_mainfile", window.folder / f"{name}.blend")
+    if photos:
+        window.settings.dataset = photos
+    yield from window.open_sidebar()
