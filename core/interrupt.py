@@ -18,6 +18,7 @@ from typing import NoReturn
 
 from .errors import Cancelled
 from .files import SAVING, remove_unfinished
+from .lock import remove_locks
 from .progress import Progress
 
 GRACE = 0.5  # seconds that work has to end by itself
@@ -104,6 +105,7 @@ def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None
 def leave(code: int, last_words: Callable[[], None]) -> NoReturn:
     """Delete what is half-written, say the last words, and end the process, whatever its threads do."""
     remove_unfinished()
+    remove_locks()
     last_words()
     end(code)
 

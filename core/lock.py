@@ -22,6 +22,7 @@ BEYOND = 2**20  # the byte that is locked on Windows, where nobody else can read
 MAX_TEXT = 4096  # bytes of a lock file that are read
 P = ParamSpec("P")
 R = TypeVar("R")
+_held: dict[int, Path] = {}  # lock files of this process by their open descriptors
 PATIENCE = 0.5  # seconds to wait for a first writer that has not written yet who it is, or is just about to end
 
 
@@ -48,9 +49,11 @@ def one_writer(path: Path, doing: str) -> Iterator[None]:
     except OSError as error:
         _remove_empty(made)
         raise cannot_write(path, error) from error
+    _held[descriptor] = file
     try:
         yield
     finally:
+        del _held[descriptor]
         _release(descriptor, file)
         _remove_empty(made)
 
@@ -129,6 +132,13 @@ def _release(descriptor: int, file: Path) -> None:
             file.unlink()
     os.close(descriptor)
     if os.name == "nt":
+        with contextlib.suppress(OSError):
+            file.unlink()
+
+
+def remove_locks() -> None:
+    """Delete the lock files of this process, which ends in the middle of its work."""
+    for file in list(_held.values()):
         with contextlib.suppress(OSError):
             file.unlink()
 

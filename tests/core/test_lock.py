@@ -165,3 +165,9 @@ def test_two_trainings_into_one_folder(tmp_path, dataset):
     assert said.count("\n") == 1
     first.communicate(timeout=120)
     assert first.returncode == 0
+
+
+def test_a_process_that_ends_in_the_middle_takes_its_lock_file_along(tmp_path):
+    with one_writer(tmp_path / "out", "a bake"):
+        lock.remove_locks()
+        assert not list(tmp_path.iterdir())
