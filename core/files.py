@@ -20,18 +20,12 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-<<<<<<< HEAD
 from .errors import Cancelled, SnergError
-
-MAX_JSON_BYTES = 2**28
-MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
-MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
-=======
-from .errors import SnergError
 from .guard import check_file, reading, why
 
 MAX_JSON_BYTES = 2**25  # 30,000 cameras with all that is told of them; parsed, JSON takes up to thirty times its bytes
->>>>>>> readers
+MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
+MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
 ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
 SAVING = threading.RLock()
 """Held while a result is put in its place or saved so that it is not lost: a process that is asked to stop waits for it."""

@@ -245,13 +245,9 @@ def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
     All of it is from one generation where another process replaces it meanwhile.
     Raises SnergError that names the file and what is wrong with it.
     """
-    return one_generation(folder, lambda: _read_reference(folder, progress))
-
-
-def _read_reference(folder: Path, progress: Progress) -> Snerg:
     path = folder / "scene_params.json"
     with reading(path, "export it again"):
-        return _read_reference(folder, path, progress)
+        return one_generation(folder, lambda: _read_reference(folder, path, progress))
 
 
 def _read_reference(folder: Path, path: Path, progress: Progress) -> Snerg:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-<<<<<<< HEAD
-=======
 import math
-import re
->>>>>>> readers
 import shutil
 from collections import deque
 from collections.abc import Callable
@@ -20,13 +16,8 @@ from ..about import check_about_scene
 from ..capture.images import png_bytes
 from ..capture.ndc import Ndc
 from ..errors import SnergError
-<<<<<<< HEAD
-from ..field.networks import ViewNetwork
-from ..files import check_own, json_bytes, new_folder, one_generation, read_json
-=======
 from ..field.networks import SHAPES, ViewNetwork
-from ..files import json_bytes, new_folder, read_json
->>>>>>> readers
+from ..files import check_own, json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from ..guard import check_file, reading

@@ -21,11 +21,8 @@ from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.images import over, to_uint8
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
-<<<<<<< HEAD
 from ..files import SAVING
-=======
 from ..guard import reading
->>>>>>> readers
 from ..progress import Note, Progress, silent
 from . import decide, trial
 from .average import EVERY, Average

@@ -32,8 +32,7 @@ from . import folder as folders
 
 EXIT_ERROR = 2
 EXIT_CANCELLED = 3
-GRACE_SECONDS = 15.0  # for a job to put its work away after it was told to stop, before it ends itself
-SAVE_SECONDS = PATIENCE + 15.0  # for a job that is saving when it is told to stop
+GRACE_SECONDS = PATIENCE + 15.0  # after which a job that was told to stop, and is not stopped by its `deadline`, is ended
 LISTEN_SECONDS = 0.1  # between looks whether to stop
 TURN_SECONDS = 0.2  # between looks whether it is the job's turn
 LOCK_SECONDS = 5.0  # in which a job's own lock, which others only ever hold to look at it, must be had
@@ -186,7 +185,6 @@ def run_job(work: Callable[[Progress], dict[str, Any]]) -> int:
     reporter = job_reporter()
     if code := await_turn():
         return code
-    reporter.grace_seconds = SAVE_SECONDS  # the deadline ends what does not stop, and lets what is being saved finish
     try:
         with deadline(reporter.stopping, lambda: leave(EXIT_CANCELLED, lambda: reporter.cancelled(reporter.last_words)), _keep_waiting):
             result = work(reporter)
