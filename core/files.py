@@ -26,6 +26,7 @@ from .guard import check_file, reading, why
 MAX_JSON_BYTES = 2**25  # 30,000 cameras with all that is told of them; parsed, JSON takes up to thirty times its bytes
 MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
 MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
+HALF_MARK = re.compile(r"\.\.snerg\.[0-9a-f]{8}\.part")  # all that is in a folder of ours if its first write was killed
 ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
 SAVING = threading.RLock()
 """Held while a result is put in its place or saved so that it is not lost: a process that is asked to stop waits for it."""
@@ -294,7 +295,7 @@ def is_ours(folder: Path) -> bool:
 def check_replaceable(path: Path) -> None:
     """Raise SnergError unless `path` can be created or is an earlier result of ours (or empty)."""
     if path.is_dir():
-        if any(path.iterdir()) and not (path / MARK).exists():
+        if not (path / MARK).exists() and not all(HALF_MARK.fullmatch(one.name) for one in path.iterdir()):
             raise SnergError(f"The folder {path} holds other files; choose a new or empty folder, so that nothing of yours is replaced.")
     elif path.exists():
         raise SnergError(f"{path} is a file; choose a folder.")

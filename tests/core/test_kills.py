@@ -17,9 +17,11 @@ import pytest
 
 from scenes import make_snerg
 from snerg.core import verbs
+from snerg.core.errors import SnergError
 from snerg.core.export.scene import read_scene, write_scene
 from snerg.core.field.checkpoint import flatten, read_field
 from snerg.core.field.log import read_log
+from snerg.core.files import check_replaceable
 from snerg.core.grid.bake import BakeSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
@@ -155,3 +157,13 @@ def test_killed_a_few_times(tmp_path, dataset):
 def test_killed_many_times(tmp_path, dataset, command):
     pytest.importorskip("jax")
     check(command(tmp_path, dataset), tmp_path, MANY)
+
+
+def test_a_kill_while_a_folder_gets_its_mark_does_not_block_it(tmp_path):
+    """Found by killing bakes: the folder of what was finished held half a mark, and every later bake was refused."""
+    half = tmp_path / "out" / "..snerg.0123abcd.part"
+    half.mkdir(parents=True)
+    check_replaceable(tmp_path / "out")
+    (tmp_path / "out" / "thesis.txt").write_text("years of work")
+    with pytest.raises(SnergError, match="other files"):
+        check_replaceable(tmp_path / "out")
