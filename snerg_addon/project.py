@@ -100,13 +100,8 @@ class Project:
                 value = read_json(self._notes)
             except SnergError:
                 value = {}
-            cached = _cache[self._notes] = (stamp, _steps(value))
+            cached = _cache[self._notes] = (stamp, value if isinstance(value, dict) else {})
         return cached[1]
-
-
-def _steps(value: Any) -> dict[str, Any]:
-    """What a file of notes says of each step; whatever else it holds is left out."""
-    return {step: facts for step, facts in value.items() if isinstance(facts, dict)} if isinstance(value, dict) else {}
 
 
 _cache: dict[Path, tuple[int, dict[str, Any]]] = {}
