@@ -34,7 +34,7 @@ def main() -> int:
         if entry not in sys.path and entry != own:
             sys.path.append(entry)
     load(Path(__file__).resolve().parent)
-    code: int = importlib.import_module("snerg.core.cli").main(sys.argv[1:])
+    code: int = importlib.import_module("snerg.core.start").main(sys.argv[1:])
     return code
 
 

@@ -29,7 +29,7 @@ sys.exit(code)
 
 def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
     """Run a verb in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
-    command = [sys.executable, "-m", "snerg.core.cli", *arguments, "--json"]
+    command = [sys.executable, "-m", "snerg.core.start", *arguments, "--json"]
     child = subprocess.run([sys.executable, "-S", "-c", WATCH, *command], stdout=subprocess.PIPE, text=True)
     if child.returncode != 0:
         raise SystemExit(f"'snerg {' '.join(arguments)}' failed with code {child.returncode}.")

@@ -9,19 +9,18 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn, TextIO
+from typing import Any, NoReturn, TextIO, cast
 
-from . import predict, verbs
+from . import interrupt, predict, verbs
 from .capture.dataset import DatasetOptions
-from .errors import Cancelled, SnergError, needs_jax
+from .errors import Cancelled, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene import PNG
 from .field.devices import connect, device_report
@@ -31,41 +30,42 @@ from .grid.bake import AUTO, BakeSettings
 from .grid.march import MarchSettings
 from .jobs.protocol import EXIT_ERROR, run_job
 from .progress import Note, Progress
+from .start import STOPPED as EXIT_STOPPED
 from .study.front import Target
 from .study.plan import StudySettings
 
-EXIT_STOPPED = 130
+LONGEST_PATH = 2**15  # characters, Windows' limit
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
 Work = Callable[[argparse.Namespace, Progress], dict[str, Any]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code. arguments: without the program's name; those of the process when None."""
+    """Run one verb and return the exit code. arguments: without the program's name; those of the process when None.
+
+    Called in the main thread it listens to Ctrl-C, and ends the process when the work does not stop within a second of it.
+    """
     try:
         options = parser().parse_args(sys.argv[1:] if arguments is None else list(arguments))
     except SystemExit as end:  # --help, or arguments that make no sense: inside Blender the process must go on
         return int(end.code or 0)
-    work: Work = options.work
+
+    def work(progress: Progress) -> dict[str, Any]:
+        with refusals():
+            return cast("dict[str, Any]", plain(options.work(options, progress)))
+
     if options.job:
-        return run_job(lambda progress: plain(work(options, progress)))
-    progress = Terminal(sys.stderr)
+        return run_job(work)
+    terminal = Terminal(sys.stderr)
     try:
-        with keyboard(progress) as watched:
-            result = plain(work(options, watched))
-    except KeyboardInterrupt:
-        progress.end()
-        print("snerg: Stopped.", file=sys.stderr)
-        return EXIT_STOPPED
+        result = stoppable(work, terminal)
+        terminal.end()
+        write_result(json.dumps(result, allow_nan=False) if options.json else options.show(result))
     except SnergError as error:
-        progress.end()
-        print(f"snerg: {error}", file=sys.stderr)
+        terminal.last(f"snerg: {error}")
         return EXIT_STOPPED if isinstance(error, Cancelled) else EXIT_ERROR
     except MemoryError:
-        progress.end()
-        print("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.", file=sys.stderr)
+        terminal.last("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.")
         return EXIT_ERROR
-    progress.end()
-    print(json.dumps(result, allow_nan=False) if options.json else options.show(result))
     return 0
 
 
@@ -82,8 +82,8 @@ def parser() -> argparse.ArgumentParser:
         return sub
 
     train = verb("train", "train a field on a dataset", _train)
-    train.add_argument("dataset", type=Path, metavar="DATASET", help="folder with transforms.json, poses_bounds.npy or a COLMAP model")
-    train.add_argument("--out", type=Path, required=True, metavar="FIELD")
+    train.add_argument("dataset", type=path, metavar="DATASET", help="folder with transforms.json, poses_bounds.npy or a COLMAP model")
+    train.add_argument("--out", type=path, required=True, metavar="FIELD")
     train.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="what to train; see the README (default: %(default)s)")
     length = train.add_mutually_exclusive_group()
     length.add_argument("--minutes", type=positive, metavar="M", help="how long to train")
@@ -99,12 +99,12 @@ def parser() -> argparse.ArgumentParser:
     train.add_argument("--process", type=natural, default=0, metavar="I", help="which of them this is, from 0")
 
     bring = verb("import", "bring in a checkpoint, field or baked scene", lambda o, p: verbs.import_source(o.source, o.out, p))
-    bring.add_argument("source", type=Path, metavar="SOURCE")
-    bring.add_argument("--out", type=Path, required=True, metavar="PATH")
+    bring.add_argument("source", type=path, metavar="SOURCE")
+    bring.add_argument("--out", type=path, required=True, metavar="PATH")
 
     bake = verb("bake", "bake a field into a scene", _bake)
-    bake.add_argument("field", type=Path, metavar="FIELD")
-    bake.add_argument("--out", type=Path, required=True, metavar="SCENE")
+    bake.add_argument("field", type=path, metavar="FIELD")
+    bake.add_argument("--out", type=path, required=True, metavar="SCENE")
     _baking(bake)
     _storing(bake, "png")
     compare = bake.add_argument_group("to compare with", "Each leaves out a part of the method, as the tables of the paper do.")
@@ -113,12 +113,12 @@ def parser() -> argparse.ArgumentParser:
     compare.add_argument("--float", dest="quantise", action="store_false", help="32 bits a value in place of 8")
 
     measure = verb("eval", "measure a field or a scene on views that training did not see", _evaluate)
-    measure.add_argument("target", type=Path, metavar="FIELD_OR_SCENE")
-    measure.add_argument("dataset", type=Path, nargs="?", metavar="DATASET", help="default: what the field was trained on")
-    measure.add_argument("--dataset", type=Path, dest="named_dataset", metavar="DATASET", help="the same, by name")
+    measure.add_argument("target", type=path, metavar="FIELD_OR_SCENE")
+    measure.add_argument("dataset", type=path, nargs="?", metavar="DATASET", help="default: what the field was trained on")
+    measure.add_argument("--dataset", type=path, dest="named_dataset", metavar="DATASET", help="the same, by name")
     measure.add_argument("--split", metavar="SPLIT", help="train, val or test (default: test, else val)")
     _reading(measure, None)
-    measure.add_argument("--out", type=Path, metavar="DIR", help="write the pictures there, and a sheet of them beside the truth")
+    measure.add_argument("--out", type=path, metavar="DIR", help="write the pictures there, and a sheet of them beside the truth")
     _marching(measure)
 
     render = verb(
@@ -126,35 +126,35 @@ def parser() -> argparse.ArgumentParser:
         "render a scene from cameras",
         lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p, _march(o)),
     )
-    render.add_argument("scene", type=Path, metavar="SCENE")
-    render.add_argument("--cameras", type=Path, required=True, metavar="TRANSFORMS.json")
-    render.add_argument("--out", type=Path, required=True, metavar="DIR")
+    render.add_argument("scene", type=path, metavar="SCENE")
+    render.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
+    render.add_argument("--out", type=path, required=True, metavar="DIR")
     render.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
     render.add_argument("--height", type=count, metavar="H")
     _marching(render)
 
     export = verb("export", "write a scene in the reference PNG layout", lambda o, p: verbs.export_reference(o.scene, o.out, p))
-    export.add_argument("scene", type=Path, metavar="SCENE")
-    export.add_argument("--out", type=Path, required=True, metavar="DIR")
+    export.add_argument("scene", type=path, metavar="SCENE")
+    export.add_argument("--out", type=path, required=True, metavar="DIR")
 
     bundle = verb(
         "bundle", "write a scene as a web page", lambda o, p: verbs.bundle_scene(o.scene, o.out, o.cameras, o.single_file, p, _codec(o))
     )
-    bundle.add_argument("scene", type=Path, metavar="SCENE")
-    bundle.add_argument("--out", type=Path, required=True, metavar="DIR")
-    bundle.add_argument("--cameras", type=Path, metavar="FILE", help="a transforms file whose cameras the page lists")
+    bundle.add_argument("scene", type=path, metavar="SCENE")
+    bundle.add_argument("--out", type=path, required=True, metavar="DIR")
+    bundle.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
     bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     _storing(bundle, "the scene's own")
 
     called = verb("effects", "say which optional effects a scene calls for, and why", lambda o, p: predict.effects(o.path, p))
-    called.add_argument("path", type=Path, metavar="PATH")
+    called.add_argument("path", type=path, metavar="PATH")
     called.set_defaults(show=predict.effects_text)
 
     ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
-    ahead.add_argument("path", type=Path, metavar="DATASET_OR_FIELD")
+    ahead.add_argument("path", type=path, metavar="DATASET_OR_FIELD")
     baking = ahead.add_argument_group("of a field", "What a bake, its files and a preview take.")
     _baking(baking)
-    baking.add_argument("--survey", type=Path, metavar="FILE", help="where the look at the field is kept for the next estimate")
+    baking.add_argument("--survey", type=path, metavar="FILE", help="where the look at the field is kept for the next estimate")
     baking.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
     baking.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
     learning = ahead.add_argument_group("of a dataset", "What a training takes.")
@@ -163,9 +163,9 @@ def parser() -> argparse.ArgumentParser:
     learning.add_argument("--steps", type=count, metavar="N", help="how long so many steps take")
 
     sweep = verb("study", "measure what accuracy costs in time and bytes, and bake what a target calls for", _study)
-    sweep.add_argument("source", type=Path, metavar="FIELD_OR_DATASET_OR_SCENE")
-    sweep.add_argument("--out", type=Path, required=True, metavar="DIR", help="the report and its rows; given again, the study goes on")
-    sweep.add_argument("--dataset", type=Path, metavar="DATASET", help="to measure on (default: what the field was trained on)")
+    sweep.add_argument("source", type=path, metavar="FIELD_OR_DATASET_OR_SCENE")
+    sweep.add_argument("--out", type=path, required=True, metavar="DIR", help="the report and its rows; given again, the study goes on")
+    sweep.add_argument("--dataset", type=path, metavar="DATASET", help="to measure on (default: what the field was trained on)")
     usual = StudySettings()
     for name, kind, letter, about in (
         ("minutes", positive, "M", "that measuring may take"),
@@ -175,7 +175,7 @@ def parser() -> argparse.ArgumentParser:
     ):
         default = getattr(usual, name)
         sweep.add_argument(f"--{name}", type=kind, default=default, metavar=letter, help=f"{about} (default: %(default)s)")
-    sweep.add_argument("--box", type=Path, metavar="BOX.json", help="of the bakes (default: all that the field holds)")
+    sweep.add_argument("--box", type=path, metavar="BOX.json", help="of the bakes (default: all that the field holds)")
     sweep.add_argument("--paper", action="store_true", help="also train fields of other kinds, for the paper's tables")
     wanted = sweep.add_argument_group("targets", "The cheapest configuration measured that has them all is written to DIR/scene.")
     wanted.add_argument("--target-db", type=positive, metavar="DB", help="at least so good on held-out views")
@@ -183,7 +183,7 @@ def parser() -> argparse.ArgumentParser:
     wanted.add_argument("--target-ms", type=positive, metavar="MS", help="at most so long a frame")
 
     facts = verb("info", "say what a dataset, field, checkpoint or scene is, or what trains here", _info)
-    facts.add_argument("path", type=Path, nargs="?", metavar="PATH")
+    facts.add_argument("path", type=path, nargs="?", metavar="PATH")
     facts.add_argument("--devices", action="store_true", help="which devices training would use")
     return top
 
@@ -204,7 +204,7 @@ def _baking(verb: argparse._ActionsContainer) -> None:
         "--resolution", type=count, default=usual.resolution, metavar="N", help="voxels along the longest side (default: %(default)s)"
     )
     fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
-    verb.add_argument("--box", type=Path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
+    verb.add_argument("--box", type=path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
     verb.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
     verb.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
 
@@ -299,36 +299,57 @@ def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
 
 
 @contextmanager
-def keyboard(progress: Progress) -> Iterator[Progress]:
-    """Progress that raises Cancelled after Ctrl-C, so that work stops between two steps and not in the middle of one.
+def refusals() -> Iterator[None]:
+    """What the system refuses, whatever was asked of it, as a sentence: a folder that may not be searched, a path too long."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or not error.strerror:
+            raise
+        raise SnergError(f"The system refuses {error.filename} ({error.strerror}); check the path and its permissions.") from error
 
-    A second Ctrl-C stops at once. Elsewhere than in the main thread the keyboard is not ours to listen to.
+
+def stoppable(work: Callable[[Progress], dict[str, Any]], terminal: Terminal) -> dict[str, Any]:
+    """`work(progress)`, stopped by Ctrl-C within a second (see interrupt.deadline); a second Ctrl-C does not wait even for saving.
+
+    Elsewhere than in the main thread the keyboard is not ours to listen to.
     """
+    if threading.current_thread() is not threading.main_thread():
+        return work(terminal)
     asked = threading.Event()
 
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
+    def leave() -> NoReturn:
+        interrupt.leave(EXIT_STOPPED, lambda: terminal.last("snerg: Stopped."))
 
-    def watched(fraction: float, message: str, /) -> None:
-        if asked.is_set():
-            raise Cancelled("Stopped as you asked; what was finished before is kept.")
-        progress(fraction, message)
+    def waiting() -> None:
+        terminal.last("snerg: Saving what is finished; press Ctrl-C again to leave without it.")
 
-    if threading.current_thread() is not threading.main_thread():
-        yield progress
-        return
-    before = signal.signal(signal.SIGINT, interrupt)
+    with interrupt.keyboard(asked, leave), interrupt.deadline(asked, leave, waiting):
+        return work(interrupt.watched(terminal, asked))
+
+
+def write_result(text: str) -> None:
+    """A line or more on standard output. Raises SnergError when nobody reads it, or a disk is full."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    text = "\n".join(printable(line) for line in text.split("\n"))
     try:
-        yield watched
-    finally:
-        signal.signal(signal.SIGINT, before)
+        print(text.encode(encoding, "backslashreplace").decode(encoding), flush=True)
+    except OSError as error:
+        with suppress(OSError, ValueError, AttributeError):  # or what is still held back would fail once more at the very end
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SnergError(f"The result cannot be written to standard output ({error.strerror}); what was asked for is done.") from error
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        self.exit(EXIT_ERROR, f"snerg: {message}; see '{self.prog} --help'.\n")
+        self.exit(EXIT_ERROR, f"snerg: {clean(message)}; see '{self.prog} --help'.\n")
+
+
+def path(text: str) -> Path:
+    """A path, of a length that some system has."""
+    if len(text) > LONGEST_PATH:
+        raise argparse.ArgumentTypeError(f"a path of {len(text)} characters is longer than any system has")
+    return Path(text)
 
 
 def count(text: str) -> int:
@@ -397,22 +418,31 @@ class Terminal:
     def __call__(self, fraction: float, message: str, /) -> None:
         """Show where the work is."""
         if isinstance(message, Note):
-            self.stream.write(f"\r\x1b[K{message}\n" if self.over else f"{message}\n")
-            self.stream.flush()
+            self.write(f"\r\x1b[K{clean(message)}\n" if self.over else f"{clean(message)}\n")
             return
         now = time.monotonic()
         if now - self.told < (0.1 if self.over else EVERY_SECONDS):
             return
         self.told = now
-        line = f"{100 * fraction:3.0f}%  {message}"
-        self.stream.write(f"\r\x1b[K{line[:100]}" if self.over else f"{line}\n")
-        self.stream.flush()
+        line = f"{100 * fraction:3.0f}%  {clean(message)}"
+        self.write(f"\r\x1b[K{line[:100]}" if self.over else f"{line}\n")
         self.message = message
 
     def end(self) -> None:
         """Leave a clean line behind."""
         if self.over and self.message:
-            self.stream.write("\r\x1b[K")
+            self.write("\r\x1b[K")
+            self.message = ""
+
+    def last(self, sentence: str) -> None:
+        """A sentence after the progress."""
+        self.end()
+        self.write(f"{sentence}\n")
+
+    def write(self, text: str) -> None:
+        """Show text; that nobody can see it is no reason to stop the work."""
+        with suppress(OSError, ValueError):
+            self.stream.write(text)
             self.stream.flush()
 
 

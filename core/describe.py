@@ -17,7 +17,8 @@ from .field.checkpoint import is_field, read_field
 from .field.decide import forward_facing
 from .field.field import Field
 from .field.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
-from .files import MARK, read_json
+from .field.training_folder import trainings_beside
+from .files import MARK, one_generation, read_json
 from .grid.snerg import Snerg
 from .guard import reading
 from .progress import Progress, silent
@@ -31,10 +32,14 @@ def info(path: Path, progress: Progress = silent) -> Result:
 
     Raises SnergError when it is none of these.
     """
+    return one_generation(path, lambda: _info(path))
+
+
+def _info(path: Path) -> Result:
     kind = kind_of(path)
     about = {
         "dataset": _dataset_info,
-        "field": lambda p: _field_info(any_field(p)),
+        "field": lambda p: _field_info(any_field(p)) | _unfinished(p),
         "checkpoint": lambda p: _field_info(any_field(p)),
         "scene": _stored_info,
         "reference scene": _reference_info,
@@ -135,6 +140,12 @@ def _field_info(field: Field) -> Result:
         "decisions": field.about.get("decisions", []),
         "effects": {"view_dependence": field.view != "diffuse"},
     }
+
+
+def _unfinished(path: Path) -> Result:
+    """The trainings that are to take a field's place (see training_folder), where there are some."""
+    found = trainings_beside(path)
+    return {"unfinished_trainings": found} if found else {}
 
 
 def _stored_info(path: Path) -> Result:

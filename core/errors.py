@@ -1,32 +1,42 @@
 """The one error that reaches people."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-LONGEST = 1000  # characters of a sentence: names in files may be as long as the file
+LONGEST = 1000  # characters of a message; names in files may have any length
+# What could break a line, move the cursor or turn the text round: control characters, line separators, directions of writing.
+CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]+")
+
+
+def printable(text: str) -> str:
+    """Text as one line for a terminal: without control characters."""
+    return CONTROL.sub(" ", text)
+
+
+def clean(text: str, longest: int = LONGEST) -> str:
+    """Text as one line of a length that people read: `printable`, without the middle where it is very long."""
+    text = printable(_shortened(text, longest))
+    return _shortened("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text), longest)
+
+
+def _shortened(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest * 2 // 3]} … {text[-longest // 4 :]}"
 
 
 class SnergError(Exception):
-    """One sentence saying what is wrong, where, and what to do about it.
+    """One sentence saying what is wrong, where, and what to do about it; `clean`, whatever names it quotes.
 
     It is one line of printable characters, whatever names a file put into it, and at most LONGEST of them. The command line prints
     it and exits with 2; an operator reports it and returns CANCELLED.
     """
 
     def __init__(self, sentence: str = "") -> None:
-        super().__init__(one_line(sentence))
+        super().__init__(clean(sentence))
 
 
 class Cancelled(SnergError):
     """Work stopped because the person asked for it; what was finished before is kept."""
-
-
-def one_line(text: str, longest: int = LONGEST) -> str:
-    """`text` with its white space as single spaces, what cannot be printed written as \\x1b, and its middle left out where it is long."""
-    if len(text) > longest:
-        text = f"{text[: longest // 2]} ... {text[-(longest // 4) :]}"
-    text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split()))
-    return text if len(text) <= longest else f"{text[: longest // 2]} ... {text[-(longest // 4) :]}"
 
 
 @contextmanager

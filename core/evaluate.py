@@ -21,6 +21,7 @@ from .files import check_replaceable, json_bytes, new_folder
 from .grid.march import Frame, MarchSettings, march
 from .grid.snerg import Snerg
 from .grid.tables import tables_of
+from .lock import writes_out
 from .progress import Progress, silent, within
 from .study.metrics import mean_psnr, mse, psnr_of, ssim
 from .study.pictures import contact_sheet, error_picture
@@ -31,6 +32,7 @@ USUAL = MarchSettings()
 COLUMNS = ("truth", "rendered", "error x 10")
 
 
+@writes_out("an evaluation")
 def evaluate(
     target: Path,
     dataset: Path | None = None,

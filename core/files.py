@@ -4,25 +4,33 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import glob
 import json
 import os
 import platform
+import re
 import shutil
 import tempfile
+import threading
 import time
 import uuid
-from collections.abc import Iterator, Mapping
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from .errors import SnergError
+from .errors import Cancelled, SnergError
 from .guard import check_file, reading, why
 
 MAX_JSON_BYTES = 2**25  # 30,000 cameras with all that is told of them; parsed, JSON takes up to thirty times its bytes
+MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
+MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
 ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
+SAVING = threading.RLock()
+"""Held while a result is put in its place or saved so that it is not lost: a process that is asked to stop waits for it."""
+_unfinished: set[Path] = set()  # temporary folders that this process is filling
+REMOVING = 5  # times that a folder is deleted where threads go on writing in it
 AT_FDCWD, EXCHANGE = -100, 2  # of renameat2 (Linux) and renamex_np (macOS)
 
 
@@ -38,25 +46,71 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
     Raises SnergError when the folder cannot be written or the disk is full.
     """
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        with _temporary(path) as folder:
+            temporary = folder / "file"
+            with open(temporary, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            with SAVING:
+                os.replace(temporary, path)
+                _flush_swap(path)
     except OSError as error:
         raise cannot_write(path, error) from error
+
+
+@contextlib.contextmanager
+def _temporary(path: Path) -> Iterator[Path]:
+    """A folder beside `path` to write in, with our mark, that is gone afterwards; those that kills left are tidied first."""
+    _tidy(path)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    _unfinished.add(temporary)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.mkdir()
+        (temporary / MARK).write_text(MARK_TEXT)
+        yield temporary
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        _remove(temporary)  # half of a result, or the one that was there before
+        _unfinished.discard(temporary)
+
+
+def remove_unfinished() -> None:
+    """Delete what this process is writing: it ends, in the middle of it. Threads may still be writing there for a moment."""
+    for folder in list(_unfinished):
+        for _ in range(REMOVING):
+            _remove(folder)
+            if not folder.exists():
+                break
+
+
+def _remove(folder: Path) -> None:
+    """Delete a temporary folder, the mark last: what a kill leaves of it is still known as ours."""
+    with contextlib.suppress(OSError):
+        for path in folder.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != MARK:
+                path.unlink()
+    with contextlib.suppress(OSError):
+        if all(path.name == MARK for path in folder.iterdir()):
+            (folder / MARK).unlink(missing_ok=True)
+            folder.rmdir()
+
+
+def check_own(path: Path) -> None:
+    """Raise SnergError unless `path` is a file itself: what a link points to may be somebody's secret, and must not be published."""
+    if path.is_symlink() or not path.is_file():
+        raise SnergError(f"{path} is a link or no file, and only files of the scene's own are published; put a copy of the file there.")
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
-    with new_file(path) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+    with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as part:
+                np.lib.format.write_array(part, np.asarray(array), allow_pickle=False)
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:
@@ -76,20 +130,91 @@ def new_folder(path: Path) -> Iterator[Path]:
     """
     path = Path(os.path.realpath(path))  # through a link, so that it stays one
     check_replaceable(path)
-    _tidy(path)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.mkdir()
+        with _temporary(path) as temporary:
             yield temporary
-            (temporary / MARK).write_text("Written by SNeRG for Blender; replaced whole by the next export here.\n")
             _flush(temporary)
-            _swap(temporary, path)
-        except OSError as error:
-            raise cannot_write(path, error) from error
+            with SAVING:
+                _swap(temporary, path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def put_in_place(new: Path, path: Path, keep: Path | None = None) -> None:
+    """A finished folder of ours takes the place of `path`, whole, in one step where the system has one (see new_folder).
+
+    What was there goes to `keep`, in place of a folder of ours there, or is deleted where that is None.
+    Raises SnergError when it cannot; then `new` and `path` are as they were.
+    """
+    path = Path(os.path.realpath(path))
+    check_replaceable(path)
+    _tidy(path)
+    try:
+        _flush(new)
+        with SAVING:
+            _swap(new, path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    if keep is not None and new.exists():
+        with contextlib.suppress(OSError):
+            discard(keep)
+            os.replace(new, keep)
+    _remove(new)
+
+
+def discard(folder: Path) -> None:
+    """Delete a folder that bears our mark, and nothing that is not one."""
+    if is_ours(folder):
+        _remove(folder)
+
+
+T = TypeVar("T")
+READS = 20  # of a folder that is replaced again and again
+
+
+def one_generation(folder: Path, read: Callable[[], T]) -> T:
+    """What `read` gives of a folder (or file) that other processes may replace meanwhile: of one generation of it, never of two.
+
+    It is read again where it was replaced. Raises what `read` raises, and SnergError where it is replaced in every read.
+    """
+    for _ in range(READS):
+        with _held(folder) as same:
+            try:
+                result = read()
+            except Exception as error:
+                if isinstance(error, Cancelled) or same():
+                    raise
+                continue  # half of it was gone
+            if same():
+                return result
+    raise SnergError(f"{folder} is replaced again and again while it is read; wait for what writes it, or stop that.")
+
+
+@contextlib.contextmanager
+def _held(folder: Path) -> Iterator[Callable[[], bool]]:
+    """Whether the same folder is still there: it is held open where the system can, so that no other gets its number."""
+    before = _status(folder)
+    descriptor = None
+    if os.name == "posix" and before is not None:
+        with contextlib.suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not hold us up
+            before = os.fstat(descriptor)
+    try:
+        yield lambda: _same(before, _status(folder))
     finally:
-        shutil.rmtree(temporary, ignore_errors=True)  # half a folder, or the one that was there before
+        if descriptor is not None:
+            os.close(descriptor)
+
+
+def _status(path: Path) -> os.stat_result | None:
+    try:
+        return os.stat(path)
+    except (OSError, ValueError):
+        return None
+
+
+def _same(before: os.stat_result | None, now: os.stat_result | None) -> bool:
+    return before is now if before is None or now is None else os.path.samestat(before, now)
 
 
 def _flush(folder: Path) -> None:
@@ -116,16 +241,23 @@ def _swap(new: Path, path: Path) -> None:
     if not path.exists():
         os.replace(new, path)
     elif not _exchange(new, path):
-        old = new.with_suffix(".old")
+        old = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.old")
         os.replace(path, old)
         try:
             os.replace(new, path)
         except OSError:
             os.replace(old, path)
             raise
-        os.replace(old, new)
+        with contextlib.suppress(OSError):  # the result is in its place; what was there is tidied later
+            os.replace(old, new)
+    _flush_swap(path)
+
+
+def _flush_swap(path: Path) -> None:
+    """The entry of a result that is in its place, to the disk. A disk that refuses this has it all the same, if not after a power cut."""
     if os.name == "posix":
-        _flush_entries(path.parent)
+        with contextlib.suppress(OSError):
+            _flush_entries(path.parent)
 
 
 def _exchange(a: Path, b: Path) -> bool:
@@ -141,19 +273,22 @@ def _exchange(a: Path, b: Path) -> bool:
 
 
 def _tidy(path: Path) -> None:
-    """Put back what a kill between two renames left aside, and delete what kills left half-written."""
-    left = list(path.parent.glob(f".{glob.escape(path.name)}.????????.*")) if path.parent.is_dir() else []
-    aside = [folder for folder in left if folder.suffix == ".old"]
-    if aside and not path.exists():
-        with contextlib.suppress(OSError):
+    """Put back what a kill between two renames left aside, and delete what kills left half-written: of ours alone, see MARK."""
+    name = re.compile(re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|old)")
+    with contextlib.suppress(OSError):  # a folder that is not there or may not be read
+        left = [folder for folder in path.parent.iterdir() if name.fullmatch(folder.name) and is_ours(folder)]
+        aside = [folder for folder in left if folder.suffix == ".old"]
+        if aside and not path.exists():
             os.replace(aside.pop(), path)
-    for folder in left:
-        with contextlib.suppress(OSError):
-            if folder.suffix in (".part", ".old") and time.time() - folder.stat().st_mtime > ABANDONED:
-                shutil.rmtree(folder)
+        for folder in left:
+            with contextlib.suppress(OSError):
+                if time.time() - folder.stat().st_mtime > ABANDONED:
+                    _remove(folder)
 
 
-MARK = ".snerg"
+def is_ours(folder: Path) -> bool:
+    """Whether it is a folder, and no link to one, that bears our mark."""
+    return folder.is_dir() and not folder.is_symlink() and (folder / MARK).is_file()
 
 
 def check_replaceable(path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import SnergError, one_line
+from .errors import SnergError, clean
 
 WHY = 200  # characters of a decoder's own message
 MAX_MEMBERS = 4096  # arrays of an .npz
@@ -43,7 +43,7 @@ def reading(path: Path, advice: str, subject: str = "") -> Iterator[None]:
 
 def why(error: BaseException) -> str:
     """A decoder's message as part of a sentence."""
-    kind, text = type(error).__name__, one_line(str(error), WHY)
+    kind, text = type(error).__name__, clean(str(error), WHY)
     return text if text and type(error) in (ValueError, OSError) else f"{kind}: {text}" if text else kind
 
 

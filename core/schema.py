@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import one_line
+from .errors import clean
 
 FAR = 1e12  # the largest length or coordinate, in any unit: beyond, float32 no longer holds what is computed from it
 ALIKE = 1e-3  # how far the axes of a rotation may be from orthonormal
@@ -14,7 +14,7 @@ ALIKE = 1e-3  # how far the axes of a rotation may be from orthonormal
 
 def shown(value: Any) -> str:
     """A value as part of a sentence."""
-    return one_line(repr(value), 80)
+    return clean(repr(value), 80)
 
 
 def number(value: Any, name: str, low: float = -FAR, high: float = FAR) -> float:

@@ -6,12 +6,11 @@ values. What would be in the way is found before hours of work, not after.
 
 from __future__ import annotations
 
-import json
-import math
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,18 +24,18 @@ from .evaluate import background_of, evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
 from .export.reference import write_reference
-from .export.scene import PNG, check_storable, codec_of, is_current, write_scene
+from .export.scene import PNG, check_storable, codec_of, is_current, is_scene, scene_files, write_scene
 from .field.checkpoint import is_field, read_field, write_field
-from .field.log import FILE as LOG
 from .field.setting_names import with_values
 from .field.settings import PRESETS, TrainSettings, suited_to_time
-from .files import check_replaceable, json_bytes, new_folder
+from .field.training_folder import FINISHED, NEW, UNFINISHED, finish, training_folder
+from .files import check_replaceable, discard, new_folder, one_generation
 from .grid.bake import BakeSettings, check_lengths
 from .grid.box import Box
-from .grid.kept import discard
 from .grid.march import MarchSettings, march
 from .grid.snerg import Snerg
-from .progress import Progress, silent, within
+from .lock import one_writer, writes_out
+from .progress import Note, Progress, silent, within
 
 if TYPE_CHECKING:
     from .field.field import Field
@@ -59,21 +58,32 @@ def train_field(
     """Train a field on a dataset's train split (JAX); an unfinished training with the same settings goes on where it stopped.
 
     minutes or steps: how long; the preset's own time when neither is given. options: how to read the dataset. values:
-    settings by name, in place of the preset's (see with_values). Raises SnergError on bad input or when the training
-    goes wrong, Cancelled when `progress` does; then `out` holds the field as far as it got.
+    settings by name, in place of the preset's (see with_values). Another field at `out` stays there until this training is
+    finished, and takes place beside it until then (see training_folder). Raises SnergError on bad input or when the training
+    goes wrong, Cancelled when `progress` does; then the field as far as it got is kept, to go on with.
     """
     check_out(out, "field", dataset)
     settings = settings_of(preset, minutes, steps, seed, values or {})
     with needs_jax():
-        from .field.train import train
-    views = read_dataset(dataset, "train", options)
-    resume = _unfinished(out, settings, views)
-    field = train(views, settings, out, progress, resume=resume)
+        from .field.train import train, writes
+    with one_writer(out, "a training") if writes() else nullcontext():
+        views = read_dataset(dataset, "train", options)
+        folder, state = training_folder(out, settings, views)
+        if folder != out and state != FINISHED:
+            progress(0.0, Note(f"{out} holds another field, which stays as it is until this training is finished."))
+        field = read_field(folder) if state == FINISHED else train(views, settings, folder, progress, resume=state == UNFINISHED)
+        if folder != out and writes():
+            finish(folder, out)
+        return _trained(out, field, len(views.views), resumed=state != NEW)
+
+
+def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
+    """What there is to say of a training."""
     about = field.about
     return {
         "field": str(out),
-        "views": len(views.views),
-        "resumed": resume,
+        "views": views,
+        "resumed": resumed,
         "steps": about.get("steps"),
         "seconds": about.get("seconds"),
         "psnr": about.get("psnr_training_rays"),
@@ -81,7 +91,7 @@ def train_field(
         "view_dependence": field.view,
         "ndc": field.ndc is not None,
         "decisions": about.get("decisions", []),
-        "bytes": folder_bytes(out),
+        "bytes": one_generation(out, lambda: folder_bytes(out)),
     }
 
 
@@ -97,23 +107,7 @@ def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int
     return with_values(suited_to_time(settings), values)
 
 
-def _unfinished(out: Path, settings: TrainSettings, dataset: Dataset) -> bool:
-    """Whether `out` holds a training with just these settings and images that was stopped before its end."""
-    if not is_field(out):
-        return False
-    try:
-        field = read_field(out)
-    except SnergError:
-        return False  # damaged: begin anew
-    about = field.about
-    same = about.get("settings") == json.loads(json_bytes(asdict(settings)))
-    same &= about.get("dataset_options", {}) == asdict(dataset.options) and len(field.cameras) == len(dataset.cameras)
-    if not same or field.dataset != str(dataset.root.resolve()):
-        return False
-    done = about.get("steps", 0) / settings.steps if settings.steps else about.get("seconds", 0) / (settings.seconds or math.inf)
-    return bool(done < 1)
-
-
+@writes_out("an import")
 def import_source(source: Path, out: Path, progress: Progress = silent) -> Result:
     """Bring in a field (ours, or a reference checkpoint) or a baked scene (ours, or in the reference layout).
 
@@ -124,14 +118,16 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
     if kind in ("scene", "page", "reference scene"):
         write_scene(any_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
     elif kind in ("field", "checkpoint"):
-        write_field(any_field(source), out)
-        (out / LOG).unlink(missing_ok=True)  # of a training that was there before
+        field = any_field(source)
+        with new_folder(out) as folder:  # so that the log of a training that was there before goes with its field
+            write_field(field, folder)
     else:
         raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")
     progress(1.0, "Imported")
     return {"imported": kind, "to": str(out), **info(out)}
 
 
+@writes_out("a bake")
 def bake_scene(
     field: Path,
     out: Path,
@@ -210,6 +206,7 @@ def _images_to_refine_on(field: Field) -> Dataset | None:
     return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))
 
 
+@writes_out("a rendering")
 def render_views(
     scene: Path,
     cameras: Path,
@@ -263,13 +260,27 @@ def file_names(names: Sequence[str]) -> list[str]:
     return [f"{index:03d}_{name}".rstrip("_") for index, name in enumerate(plain)]
 
 
+@writes_out("an export")
 def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Result:
     """Write a scene in the reference PNG layout, which the published viewer opens."""
     check_out(out, "reference scene", scene)
-    write_reference(any_scene(scene), out, None, progress)
+    write_reference(published(scene), out, None, progress)
     return {"out": str(out), **info(out)}
 
 
+def published(scene: Path) -> Snerg:
+    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+
+    def read() -> Snerg:
+        for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
+            if is_scene(folder):
+                scene_files(folder)
+        return any_scene(scene)
+
+    return one_generation(scene, read)
+
+
+@writes_out("a bundle")
 def bundle_scene(
     scene: Path,
     out: Path,
@@ -285,11 +296,15 @@ def bundle_scene(
     check_out(out, "page", scene, *([cameras] if cameras else []))
     viewer_files()
     views = read_cameras(cameras) if cameras else ()
-    ours = kind_of(scene) == "scene" and is_current(scene)
-    stored = codec_of(scene) if ours else PNG
-    source = scene if ours and codec in (None, stored) else None
-    codec = codec or stored
-    written = write_bundle(any_scene(scene), views, out, single_file=single_file, progress=progress, codec=codec, source=source)
+
+    def opened() -> tuple[Snerg, CodecSettings | None]:
+        stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
+        return published(scene), stored
+
+    snerg, stored = one_generation(scene, opened)
+    source = scene if stored is not None and codec in (None, stored) else None
+    codec = codec or stored or PNG
+    written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source)
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
 
 

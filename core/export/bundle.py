@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -15,11 +16,11 @@ from typing import Any
 
 from ..capture.camera import Camera
 from ..errors import SnergError
-from ..files import json_bytes, new_folder
+from ..files import MARK, json_bytes, new_folder, one_generation, read_json
 from ..grid.snerg import Snerg
 from ..progress import Progress, silent
 from .codecs import CodecSettings
-from .scene import PNG, copy_scene_files, write_scene_files
+from .scene import PNG, copy_scene_files, is_current, write_scene_files
 
 VIEWER = Path(__file__).parent / "viewer"
 SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
@@ -48,11 +49,11 @@ def write_bundle(
     def fill(data: Path) -> None:
         """cameras.json and scene/, what the page reads."""
         (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
-        (data / "scene").mkdir()
         if source is None:
+            (data / "scene").mkdir()
             write_scene_files(snerg, data / "scene", progress, codec)
         else:
-            copy_scene_files(source, data / "scene")
+            one_generation(source, lambda: _copied(source, data / "scene", codec))
 
     with new_folder(folder) as temporary:
         if single_file:
@@ -61,8 +62,17 @@ def write_bundle(
             (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
             (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
             fill(temporary)
-        files = [path for path in temporary.rglob("*") if path.is_file()]
+        files = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
+
+
+def _copied(source: Path, to: Path, codec: CodecSettings) -> None:
+    """The files of a scene into a new folder. Raises SnergError when it is no longer of the kind that was looked at."""
+    shutil.rmtree(to, ignore_errors=True)  # of an attempt before
+    to.mkdir()
+    copy_scene_files(source, to)
+    if not is_current(to) or read_json(to / "scene.json").get("codec") != codec.to_json():
+        raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start it again.")
 
 
 def viewer_files() -> tuple[str, str]:

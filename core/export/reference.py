@@ -26,7 +26,7 @@ from ..capture.images import png_bytes, read_image, read_size
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
-from ..files import json_bytes, new_folder, read_json
+from ..files import json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
 from ..guard import reading, why
@@ -242,14 +242,19 @@ def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
 
     A scene of another tool stands in the world where worldspace_T_opengl puts it, a forward-facing one along y with near at 1;
     one of ours where it was, exactly.
+    All of it is from one generation where another process replaces it meanwhile.
     Raises SnergError that names the file and what is wrong with it.
     """
+    return one_generation(folder, lambda: _read_reference(folder, progress))
+
+
+def _read_reference(folder: Path, progress: Progress) -> Snerg:
     path = folder / "scene_params.json"
     with reading(path, "export it again"):
-        return _read_reference(folder, path, progress)
+        return _read(folder, path, progress)
 
 
-def _read_reference(folder: Path, path: Path, progress: Progress) -> Snerg:
+def _read(folder: Path, path: Path, progress: Progress) -> Snerg:
     params = read_params(folder)
     places, indirection = read_indices(folder, params)
     cells = read_atlas(folder, params, places, progress)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import shutil
 from collections import deque
 from collections.abc import Callable
@@ -18,7 +17,7 @@ from ..capture.images import png_bytes
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
-from ..files import json_bytes, new_folder, read_json
+from ..files import check_own, json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from ..guard import check_file, reading
@@ -37,7 +36,6 @@ MAX_FLOATS = 2**37
 LARGEST = 1e6  # of the network's weights: those of trained ones are below 100
 IN_FLIGHT = 4  # pictures that wait to be written: what is in memory beside the scene stays small (hard case 56)
 PNG = CodecSettings()
-PICTURE = re.compile(r"(rgba|rgb|alpha|feature)_\d{3}\.\w+")
 FLOAT = {"name": "float", "quality": None}  # cells that are not quantised: cells.npy
 
 
@@ -143,7 +141,14 @@ def is_scene(folder: Path) -> bool:
 
 
 def read_scene(folder: Path) -> Snerg:
-    """Read a scene folder, whatever its codec. Raises SnergError that names the file and what is wrong with it."""
+    """Read a scene folder, whatever its codec, all of it from one generation where another process replaces it meanwhile.
+
+    Raises SnergError that names the file and what is wrong with it.
+    """
+    return one_generation(folder, lambda: _read_scene(folder))
+
+
+def _read_scene(folder: Path) -> Snerg:
     path, value = _read_json(folder)
     with reading(path, "export or bake the scene again"):
         return _read(folder, value)
@@ -163,11 +168,32 @@ def is_current(folder: Path) -> bool:
     return bool(_read_json(folder)[1]["version"] == VERSION)
 
 
+def scene_files(folder: Path) -> list[Path]:
+    """The files that a scene names, and no other that may lie beside them, of a folder that `read_scene` reads.
+
+    Raises SnergError when one of them is a link or missing.
+    """
+    value = _read_json(folder)[1]
+    codec = codec_of(folder)
+    channels = 4 if value["network"] is None else 8
+    names = ["scene.json", "indirection.png"]
+    if value.get("codec") == FLOAT:
+        names.append("cells.npy")
+    else:
+        count = int(value["atlas_blocks"][2]) * CELL_VOXELS // PLANES
+        for kind in pictures_of(np.zeros((PLANES, 1, channels), np.uint8), codec):
+            video = codec.name == "h264" and kind != "alpha"
+            names += [f"{kind}.mp4"] if video else [f"{kind}_{index:03d}.{suffix(kind, codec)}" for index in range(count)]
+    files = [folder / name for name in names]
+    for path in files:
+        check_own(path)
+    return files
+
+
 def copy_scene_files(folder: Path, to: Path) -> None:
-    """The files of a scene as they are, and no other that may lie beside them."""
-    for path in folder.iterdir():
-        if path.name in ("scene.json", "indirection.png") or PICTURE.fullmatch(path.name):
-            shutil.copyfile(path, to / path.name)
+    """The files of a scene as they are."""
+    for path in scene_files(folder):
+        shutil.copyfile(path, to / path.name, follow_symlinks=False)  # nor one that has just become a link
 
 
 def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:

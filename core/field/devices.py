@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import re
+import socket
 from typing import Any
 
 from ..errors import SnergError
@@ -31,10 +33,25 @@ def connect(coordinator: str, processes: int, process: int) -> None:
         raise SnergError(MISSING) from error
     try:
         jax.config.update("jax_cpu_collectives_implementation", "gloo")  # GPUs have their own
-        jax.distributed.initialize(coordinator, processes, process, initialization_timeout=PATIENCE)
+        bound = own_address(coordinator)
+        jax.distributed.initialize(coordinator, processes, process, initialization_timeout=PATIENCE, coordinator_bind_address=bound)
     except Exception as error:  # whatever it is that keeps them apart, JAX has no type of its own for it
         told = f"Process {process} cannot join the others at {coordinator} ({_first_line(error)})"
         raise SnergError(f"{told}; start all of them, and check the port.") from error
+
+
+def own_address(coordinator: str) -> str | None:
+    """The one address to listen at, where HOST is an address of this machine, or localhost; None, for all of them, where it is a name
+    or an address that the network translates: others may reach it at another than this machine thinks."""
+    host, port = coordinator.rsplit(":", 1)
+    host = "127.0.0.1" if host == "localhost" else host.strip("[]")
+    try:
+        family = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
+        with socket.socket(family) as tried:
+            tried.bind((host, 0))
+    except (OSError, ValueError):
+        return None
+    return f"[{host}]:{port}" if family == socket.AF_INET6 else f"{host}:{port}"
 
 
 def device_report() -> dict[str, Any]:

@@ -21,6 +21,7 @@ from ..capture.dataset import HELD_OUT, Dataset, read_dataset
 from ..capture.images import over, to_uint8
 from ..capture.ndc import Ndc
 from ..errors import Cancelled, SnergError
+from ..files import SAVING
 from ..guard import reading
 from ..progress import Note, Progress, silent
 from . import decide, trial
@@ -44,7 +45,7 @@ Masks = list[np.ndarray | None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
-TELL_EVERY = 0.5  # seconds
+TELL_EVERY = 0.2  # seconds; how long Ctrl-C may wait while steps go on
 
 
 class Scheme(Protocol):
@@ -210,7 +211,7 @@ class Trainer:
         return min(self.elapsed / float(self.settings.seconds or 1), 1.0)
 
     def run(self) -> Iterator[TrainProgress]:
-        """Train to the end, telling how it goes about twice a second. Close the generator to stop; the trainer stays whole.
+        """Train to the end, telling how it goes every TELL_EVERY seconds. Close the generator to stop; the trainer stays whole.
 
         Raises SnergError when several steps in a row are not finite; the parameters are those before them.
         """
@@ -380,6 +381,11 @@ def held_out_of(dataset: Dataset) -> Dataset | None:
     return None
 
 
+def writes() -> bool:
+    """Whether this process is the one of its training that writes."""
+    return bool(jax.process_index() == 0)
+
+
 def train(
     dataset: Dataset,
     settings: TrainSettings,
@@ -429,7 +435,8 @@ def train(
         raise
     field = trainer.field()
     if keeper:
-        write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
+        with SAVING:
+            write_field(field, folder)  # without the optimiser: there is nothing to go on with, and it is five sixths of the file
     return field
 
 
@@ -471,6 +478,7 @@ class Keeper:
     def save(self) -> None:
         """Put the trainer's field and state on disk in place of the last, whole."""
         began = time.perf_counter()
-        write_field(self.trainer.field(), self.folder, self.trainer.state())
+        with SAVING:
+            write_field(self.trainer.field(), self.folder, self.trainer.state())
         self.saved = time.perf_counter()
         self.cost = self.saved - began

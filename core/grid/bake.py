@@ -80,7 +80,7 @@ def bake(
     """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.
 
     cameras: those that decide what is visible; none keeps everything. resume: a folder that holds what is finished, so that the
-    same bake goes on there after a kill; remove it with kept.discard once the scene is safe. Memory beside the finished atlas is
+    same bake goes on there after a kill; remove it with files.discard once the scene is safe. Memory beside the finished atlas is
     bounded, whatever the resolution.
 
     Raises SnergError for a field whose values are not finite, or that depends on the direction in each sample, which a grid

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SnergError
-from ..files import MARK, check_replaceable, write_arrays, write_bytes
+from ..files import MARK, check_replaceable, discard, write_arrays, write_bytes
 from ..guard import read_arrays, reading
 
 Arrays = dict[str, np.ndarray]
@@ -37,7 +36,9 @@ class Kept:
         if folder is not None and folder.is_dir():
             check_replaceable(folder)
             for path in folder.iterdir():
-                if path.name != MARK and not path.name.startswith(key):
+                if path.is_dir():  # what a kill left half-written
+                    discard(path)
+                elif path.name != MARK and not path.name.startswith(key):
                     path.unlink(missing_ok=True)
 
     def read(self, stage: str) -> Iterator[tuple[int, Arrays]]:
@@ -77,12 +78,6 @@ class Kept:
                 write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
             write_arrays(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", self.new)
         self.new, self.saved = {}, time.monotonic()
-
-
-def discard(folder: Path) -> None:
-    """Delete such a folder, and nothing that is not one."""
-    if (folder / MARK).exists():
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def are(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:

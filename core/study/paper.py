@@ -107,7 +107,7 @@ def cell(row: Row | None, column: str) -> str:
     if row is None:
         return "—"
     if column == "fps":
-        return f"{1000 / row['ms']:.2f}"
+        return f"{1000 / max(row['ms'], 1e-3):.2f}"
     if column == "memory_gb":
         return f"{row['memory_megabytes'] / 1000:.2f}" if "memory_megabytes" in row else "—"
     return {"ms": "{:.0f}", "psnr": "{:.2f}", "ssim": "{:.3f}", "megabytes": "{:.1f}"}[column].format(row[column])

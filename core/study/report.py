@@ -131,7 +131,7 @@ def _head(found: Findings) -> str:
     usual, about = found.usual, found.about
     lines = [
         f"<h1>{escape(found.title)}</h1>",
-        f"<p>{len(found.rows)} configurations of {escape(about['path'])}, measured on {usual['views']} held-out views of "
+        f"<p>{len(found.rows)} configurations of {escape(about['path'])}, measured on {escape(str(usual['views']))} held-out views of "
         f"{escape(about['dataset'])}. The usual configuration reaches <b>{usual['psnr']:.2f} dB</b> (SSIM {usual['ssim']:.3f}) with "
         f"{usual['megabytes']:.1f} MB, {usual['ms']:.0f} ms a frame {_key(usual)}.</p>",
     ]
@@ -195,7 +195,7 @@ def _equal_time(found: Findings, pictures: Path) -> str:
         return ""
     truth, parts = read_image(path), []
     for share in (0.15, 0.5, 0.85):
-        level = float(np.quantile([row["ms"] for row in rows], share))
+        level = float(np.quantile([row["ms"] for row in rows], share, method="nearest"))  # a row's own, so that there is one near it
         near = [row for row in rows if level / LIKE <= row["ms"] <= level * LIKE]
         best, worst = max(near, key=lambda row: row["psnr"]), min(near, key=lambda row: row["psnr"])
         if best is worst:
@@ -260,7 +260,7 @@ def _table(found: Findings) -> str:
         lines.append(
             f'<tr class="{kind}"><td>{_key(row)}</td><td>{escape(known.get(row["key"], "the field"))}</td><td>{row["psnr"]:.2f}</td>'
             f"<td>{row['ssim']:.4f}</td><td>{row['ms']:.1f}</td><td>{row['ms_95']:.1f}</td><td>{row['megabytes']:.2f}</td><td>{made}</td>"
-            f"<td>{'—' if peak is None else peak}</td></tr>"
+            f"<td>{'—' if peak is None else escape(str(peak))}</td></tr>"
         )
     return f"<h2>Every row</h2><p>● on the front of quality, time and size.</p><div class=wide><table>{head}{''.join(lines)}</table></div>"
 

@@ -28,12 +28,14 @@ from ..files import MARK, check_replaceable, json_bytes, read_json, write_bytes
 from ..grid.bake import BakeSettings
 from ..grid.box import Box
 from ..grid.snerg import Snerg
+from ..lock import writes_out
 from ..progress import Progress, silent, within
 from .front import Target, choose
 from .machine import describe_machine
 from .paper import BAKED, PAPER, VARIANTS
 from .pictures import contact_sheet, error_picture
 from .plan import Config, Step, StudySettings, available, steps
+from .plots import needs_matplotlib
 from .report import Findings, html, write_plots
 from .summary import accuracy, csv_of
 from .sweep import Subject, Sweep, field_key
@@ -47,6 +49,7 @@ HOLDOUT = 8
 SHOWN = 5  # configurations on the sheet of pictures
 
 
+@writes_out("a study")
 def study(
     source: Path,
     out: Path,
@@ -64,6 +67,8 @@ def study(
     Raises SnergError on bad input, where nothing could be measured in the time, where earlier results are another study's or
     cannot be read, and where no configuration has the target (the report is written all the same); Cancelled when `progress` does.
     """
+    with needs_matplotlib():  # now, and not when all is measured
+        import matplotlib  # noqa: F401
     deadline = time.monotonic() + 60 * settings.minutes
     kind = kind_of(source)
     notes: list[str] = []
@@ -134,7 +139,8 @@ def digest(path: Path) -> str:
     """Of the bytes of a file, or of all files of a folder but the log of a training."""
     found = hashlib.sha256()
     for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if part.is_file() and part.name not in (MARK, "log.jsonl"):
+        hidden = any(name.startswith(".") for name in part.relative_to(path).parts)  # our mark, and what kills left half-written
+        if part.is_file() and not hidden and part.name != "log.jsonl":
             found.update(part.name.encode())
             with open(part, "rb") as file:
                 found.update(hashlib.file_digest(file, "sha256").digest())
@@ -281,6 +287,8 @@ def variants(sweep: Sweep, plan: list[Step], usual: Config, deadline: float, set
 def findings(sweep: Sweep, plan: Sequence[Step], usual: Config, about: dict[str, Any], left_out: list[str]) -> Findings:
     """What the rows tell; where the usual configuration is not measured, the best one takes its place."""
     rows = {step.config.key: sweep.rows[step.config.key] for step in plan if step.config.key in sweep.rows}
+    if not rows:
+        raise SnergError("No configuration was measured, so that there is nothing to report; give more minutes.")
     alone = sorted((row for row in sweep.rows.values() if row["config"] is None), key=lambda row: row.get("trained_seconds") or 0)
     taken = rows.get(usual.key) or max(rows.values(), key=lambda row: row["psnr"])
     title = f"What accuracy costs: {Path(about['path']).name}"

@@ -8,6 +8,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 import zlib
 from dataclasses import replace
@@ -323,17 +324,32 @@ def test_the_keyboard_stops_a_training_and_keeps_it(dataset, tmp_path):
     assert read_field(out).about["steps"] > 0
 
 
-def test_the_keyboard_is_heard_between_steps_and_at_once_when_asked_twice():
-    before = signal.getsignal(signal.SIGINT)
-    said = []
-    with cli.keyboard(lambda fraction, message: said.append(message)) as progress:
-        progress(0.1, "one")
-        signal.raise_signal(signal.SIGINT)
-        with pytest.raises(cli.Cancelled):
-            progress(0.2, "two")
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
-    assert said == ["one"] and signal.getsignal(signal.SIGINT) is before
+def test_a_thread_leaves_the_keyboard_alone(scene, capsys):
+    before, codes = signal.getsignal(signal.SIGINT), []
+    thread = threading.Thread(target=lambda: codes.append((cli.main(["info", str(scene)]), signal.getsignal(signal.SIGINT))))
+    thread.start()
+    thread.join()
+    assert codes == [(0, before)]
+
+
+IN_C = """
+import ctypes, signal, sys
+handler = ctypes.CFUNCTYPE(None, ctypes.c_int)(lambda number: None)
+ctypes.pythonapi.PyOS_setsig.restype = ctypes.c_void_p
+ctypes.pythonapi.PyOS_setsig(signal.SIGINT, handler)
+del sys.modules["_signal"]
+import _signal  # looks again at what is installed, as at the start of an interpreter inside Blender
+assert signal.getsignal(signal.SIGINT) is None, signal.getsignal(signal.SIGINT)
+from snerg.core.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_a_handler_that_was_installed_in_c(scene):
+    """As Blender does, before its Python starts: Python cannot put it back."""
+    result = subprocess.run([sys.executable, "-c", IN_C, "info", str(scene), "--json"], capture_output=True, text=True)
+    assert result.returncode == 0 and result.stderr == "" and json.loads(result.stdout)["kind"] == "scene"
 
 
 class Screen(io.StringIO):

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -83,19 +84,85 @@ def test_a_system_that_cannot_swap_in_one_step(tmp_path, monkeypatch):
             (folder / "text").write_text(text)
         assert (tmp_path / "out" / "text").read_text() == text
         assert [path.name for path in tmp_path.iterdir()] == ["out"]
-    os.replace(tmp_path / "out", tmp_path / ".out.0123abcd.old")
+    os.replace(tmp_path / "out", tmp_path / ".out.0123abcd.old")  # it bears our mark
     with pytest.raises(RuntimeError), new_folder(tmp_path / "out"):
         raise RuntimeError
     assert (tmp_path / "out" / "text").read_text() == "new"
 
 
-def test_what_a_kill_left_is_deleted_later(tmp_path):
-    for age, name in ((7200, ".out.0123abcd.part"), (7200, ".other.0123abcd.part"), (10, ".out.4567abcd.part")):
-        (tmp_path / name).mkdir()
-        os.utime(tmp_path / name, (time.time() - age,) * 2)
-    with new_folder(tmp_path / "out"):
+HALF = """
+import os, signal, sys
+from pathlib import Path
+from snerg.core.files import new_file, new_folder
+with {writer}(Path(sys.argv[1])):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs kills")
+@pytest.mark.parametrize("writer", ["new_file", "new_folder"])
+def test_what_a_kill_left_is_deleted_later(tmp_path, writer):
+    """A folder and a file, after an hour, by the next that write there; another's name, and what is fresh, stay."""
+    for name in ("out", "out", "other"):
+        subprocess.run([sys.executable, "-c", HALF.format(writer=writer), str(tmp_path / name)])
+    left = sorted(path for path in tmp_path.iterdir())
+    assert len(left) == 3 and all(path.suffix == ".part" for path in left)
+    for path in left[:2]:  # of "other" and the first of "out"
+        os.utime(path, (time.time() - 7200,) * 2)
+    with getattr(files, writer)(tmp_path / "out"):
         pass
-    assert {path.name for path in tmp_path.iterdir()} == {"out", ".other.0123abcd.part", ".out.4567abcd.part"}
+    assert set(tmp_path.iterdir()) == {tmp_path / "out", left[0], left[2]}
+
+
+@pytest.mark.parametrize("writer", ["new_file", "new_folder"])
+def test_what_is_not_ours_is_never_tidied(tmp_path, writer):
+    """A user's folders and files that happen to be called as ours are."""
+    (tmp_path / ".out.0123abcd.old").mkdir()
+    (tmp_path / ".out.0123abcd.old" / "thesis.txt").write_text("mine")
+    (tmp_path / ".out.4567abcd.part").write_text("mine")
+    (tmp_path / "marked").mkdir()
+    (tmp_path / "marked" / files.MARK).touch()
+    (tmp_path / ".out.89abcdef.part").symlink_to("marked")
+    (tmp_path / ".out.89abcdeX.part").mkdir()
+    (tmp_path / ".out.89abcdeX.part" / files.MARK).touch()
+    before = sorted(tmp_path.rglob("*"))
+    for path in before:
+        os.utime(path, (time.time() - 7200,) * 2, follow_symlinks=False)
+    with getattr(files, writer)(tmp_path / "out"):
+        pass
+    after = sorted(path for path in tmp_path.rglob("*") if "out" not in path.relative_to(tmp_path).parts[0].split(".")[:1])
+    assert after == before
+
+
+def test_a_kill_in_the_middle_of_deleting(tmp_path, monkeypatch):
+    """Of a folder that is being deleted the mark goes last, so that the rest is still known as ours."""
+    folder = tmp_path / "folder"
+    (folder / "a").mkdir(parents=True)
+    (folder / files.MARK).touch()
+    (folder / "z").touch()
+    gone = []
+    unlink = type(folder).unlink
+    monkeypatch.setattr(type(folder), "unlink", lambda self, **more: gone.append(self.name) or unlink(self, **more))
+    files._remove(folder)
+    assert gone == ["z", files.MARK] and not folder.exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders cannot be flushed elsewhere")
+@pytest.mark.parametrize("writer", ["new_file", "new_folder"])
+def test_a_disk_that_does_not_flush_folders(tmp_path, monkeypatch, writer):
+    """The result is in its place by then: that is no failure."""
+    flush = files._flush_entries
+
+    def refuse(folder):
+        if folder == tmp_path:
+            raise OSError(22, "Invalid argument")
+        flush(folder)
+
+    monkeypatch.setattr(files, "_flush_entries", refuse)
+    for _ in range(2):
+        with getattr(files, writer)(tmp_path / "out"):
+            pass
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_through_a_link(tmp_path):

@@ -22,6 +22,7 @@ from snerg.core.export.scene import codec_of, read_scene, write_scene
 from snerg.core.field.checkpoint import read_field, write_field
 from snerg.core.field.reference_checkpoint import read_reference_checkpoint, reference_mlp
 from snerg.core.field.settings import PRESETS
+from snerg.core.field.training_folder import NEW, UNFINISHED, training_folder
 from snerg.core.grid.bake import BakeSettings
 from snerg.core.grid.march import MarchSettings, march
 
@@ -65,15 +66,20 @@ def test_a_stopped_training_goes_on(tmp_path, dataset, monkeypatch):
     monkeypatch.setattr(train.time, "perf_counter", iter(np.arange(0.0, 1e6, 0.3)).__next__)  # so that each step tells of itself
     with pytest.raises(Cancelled):
         verbs.train_field(dataset, tmp_path / "field", steps=8, progress=StopAfter(3))
-    reached = read_field(tmp_path / "field").about["steps"]
+    out = tmp_path / "field"
+    reached = read_field(out).about["steps"]
     assert 0 < reached < 8
     views = read_dataset(dataset)
     settings = replace(PRESETS["fast"], steps=8, seconds=None)
-    assert not verbs._unfinished(tmp_path / "field", replace(settings, steps=9), views)  # other settings: anew
-    assert not verbs._unfinished(tmp_path / "field", settings, read_dataset(dataset, "test"))  # other images: anew
+    assert training_folder(out, settings, views) == (out, UNFINISHED)
+    for other, images in ((replace(settings, steps=9), views), (settings, read_dataset(dataset, "test"))):  # anew, and not over this one
+        folder, state = training_folder(out, other, images)
+        assert state == NEW and folder.parent == tmp_path and folder.name.startswith(".field.training-")
     result = verbs.train_field(dataset, tmp_path / "field", steps=8)
     assert result["resumed"] and result["steps"] == 8
-    assert not verbs._unfinished(tmp_path / "field", settings, views)  # finished: anew
+    folder, state = training_folder(out, settings, views)
+    assert folder != out and state == NEW  # finished: anew
+    assert [path.name for path in tmp_path.iterdir()] == ["field"]
 
 
 def test_a_field_is_measured_and_described(field, dataset):

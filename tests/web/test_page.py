@@ -75,6 +75,26 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
     assert np.abs(picture(page) - first).mean() > 1 / 255
 
 
+@pytest.mark.parametrize("word", ["constructor", "__proto__", "toString", "hasOwnProperty", "pink", ""])
+def test_any_word_may_stand_in_the_address(page: Page, made: Path, serve: Serve, word: str) -> None:
+    """Words that every object in JavaScript knows are no backgrounds, cameras or keys: the page is white and at its first camera."""
+    assert opened(page, serve(made) + f"?width=80&height=60&background={word}&camera={word}&ui={word}") is None
+    assert page.locator("[name=background][value=white]").is_checked()
+    page.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{ key: {json.dumps(word)} }}))")
+    page.evaluate("document.querySelector('#canvas').dispatchEvent(new Event('keydown', { bubbles: true }))")  # a form that is filled in
+    assert page.evaluate("window.snerg.problem") is None
+
+
+@pytest.mark.parametrize("name", [{"toString": 1}, [], 7, None, "__proto__"])
+def test_a_camera_may_have_any_name(page: Page, copied: Path, serve: Serve, name: object) -> None:
+    path = copied / "cameras.json"
+    value = json.loads(path.read_text())
+    value["cameras"][0]["name"] = name
+    path.write_text(json.dumps(value))
+    assert opened(page, serve(copied) + "?width=80&height=60") is None
+    assert page.locator("#camera option").first.inner_text() == (name if isinstance(name, str) else "Camera 1")
+
+
 def test_a_level_camera_stays_where_it_is_when_touched(page: Page, made: Path, serve: Serve) -> None:
     """The orbit starts at the camera's own view: a hair's turn there and back changes nothing."""
     address = serve(made)

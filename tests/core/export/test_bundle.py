@@ -1,6 +1,7 @@
 """Web pages made from scenes on disk: which codec, and what of a scene goes into them."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from snerg.core import verbs
 from snerg.core.cli import main
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import codec_of, read_scene, write_scene
+from snerg.core.export.scene import codec_of, read_scene, scene_files, write_scene
 
 
 @pytest.fixture
@@ -66,3 +67,47 @@ def test_a_damaged_codec_is_told(tmp_path, stored):
     path.write_text(json.dumps({**json.loads(path.read_text()), "codec": 5}))
     with pytest.raises(SnergError, match="no good codec"):
         verbs.bundle_scene(stored, tmp_path / "web")
+
+
+@pytest.mark.parametrize("codec", ["png", "webp", "jpeg", "avif"])
+def test_only_what_the_scene_names_is_published(tmp_path, codec):
+    """Not what lies beside it under a like name, nor what a link points to."""
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    scene = tmp_path / "scene"
+    write_scene(make_snerg((34, 20, 20)), scene, codec=CodecSettings(codec))
+    names = {path.name for path in scene.iterdir()} - {".snerg"}
+    (scene / "rgba_999.txt").symlink_to(secret)
+    (scene / "rgba_998.png").write_text("secret")
+    (scene / "alpha_007.txt").write_text("secret")
+    for single in (False, True):
+        verbs.bundle_scene(scene, tmp_path / f"web {single}", single_file=single)
+    assert {path.name for path in (tmp_path / "web False" / "scene").iterdir()} == names
+    assert "c2VjcmV0" not in (tmp_path / "web True" / "index.html").read_text()  # "secret"
+
+
+@pytest.mark.parametrize("name", ["scene.json", "indirection.png", "rgba_000.png", "feature_001.png"])
+def test_a_link_is_not_published(tmp_path, name):
+    """A good picture from elsewhere neither: nobody saw that it would be in the page."""
+    scene = tmp_path / "scene"
+    write_scene(make_snerg((34, 20, 20)), scene)
+    (scene / name).rename(tmp_path / "private")
+    (scene / name).symlink_to(tmp_path / "private")
+    publish = (
+        lambda: verbs.bundle_scene(scene, tmp_path / "out"),
+        lambda: verbs.bundle_scene(scene, tmp_path / "out", codec=CodecSettings("webp")),
+        lambda: verbs.export_reference(scene, tmp_path / "out"),
+    )
+    for write in publish:
+        with pytest.raises(SnergError, match=f"{name} is a link"):
+            write()
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_file_of_a_scene_is_named(tmp_path):
+    snerg = make_snerg((34, 20, 20))
+    pytest.importorskip("av")
+    write_scene(replace(snerg, cells=snerg.cells / np.float32(255)), tmp_path / "float")
+    write_scene(snerg, tmp_path / "h264", codec=CodecSettings("h264", 70))
+    for folder in (tmp_path / "float", tmp_path / "h264"):
+        assert {path.name for path in scene_files(folder)} == {path.name for path in folder.iterdir()} - {".snerg"}

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import pytest
 from snerg.core.capture.dataset import read_dataset
 from snerg.core.errors import SnergError
 from snerg.core.field.checkpoint import is_field
-from snerg.core.field.devices import MISSING, connect, device_report
+from snerg.core.field.devices import MISSING, connect, device_report, own_address
 from snerg.core.field.encoding import HashGrid
 from snerg.core.field.log import FILE as LOG
 from snerg.core.field.networks import HashFamily, MlpFamily
@@ -124,6 +125,31 @@ def test_one_process_that_is_stopped_stops_the_others_with_a_sentence(dataset, t
     for process in running:
         assert "Stopped together" in process.communicate(timeout=300)[1].splitlines()[-1] and process.returncode == 130
     assert is_field(tmp_path / "field")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc for what listens")
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_the_coordinator_listens_at_its_own_address_alone(host):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = f"from snerg.core.field.devices import connect; connect('{host}:{port}', 2, 0)"
+    child = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        end, found = time.monotonic() + 60, []
+        while not found and child.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
+            lines = [line.split() for file in ("tcp", "tcp6") for line in Path(f"/proc/net/{file}").read_text().splitlines()[1:]]
+            found = [words[1] for words in lines if words[3] == "0A" and words[1].endswith(f":{port:04X}")]  # 0A: listening
+    finally:
+        child.kill()
+        child.wait()
+    assert {address.split(":")[0][-8:] for address in found} == {"0100007F"}
+
+
+def test_an_address_that_is_not_this_machines_is_not_listened_at():
+    assert own_address("127.0.0.1:8476") == own_address("localhost:8476") == "127.0.0.1:8476"
+    assert own_address("192.0.2.7:8476") is None and own_address("node.example:8476") is None
 
 
 def packed(counts: list[int], size: int, rays: int, seed: int = 0) -> dict:

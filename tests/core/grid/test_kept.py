@@ -17,10 +17,11 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.field.field import Field
 from snerg.core.field.networks import HashFamily
 from snerg.core.field.sampling import Domain
+from snerg.core.files import discard
 from snerg.core.grid import kept as kept_module
 from snerg.core.grid.bake import BakeSettings, bake
 from snerg.core.grid.box import Box
-from snerg.core.grid.kept import Kept, discard, each
+from snerg.core.grid.kept import Kept, each
 
 BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
 SETTINGS = BakeSettings(100, samples=2)

@@ -7,7 +7,7 @@ import { readCameras, readIndirection, readScene } from "./scene.js";
 import { View } from "./view.js";
 
 const SCENE = "scene";
-const BACKGROUNDS = { white: 1, grey: 128 / 255, black: 0 };
+const BACKGROUNDS = new Map([["white", 1], ["grey", 128 / 255], ["black", 0]]); // a Map: any word may stand in the address
 const KEY_TURN = Math.PI / 36;
 const find = (id) => document.getElementById(id);
 const canvas = find("canvas");
@@ -124,15 +124,15 @@ function bar(view, painter, cameras, jump) {
   find("reset").onclick = reset;
   for (const input of document.querySelectorAll("[name=background]")) {
     input.onchange = () => {
-      view.background = Array(3).fill(BACKGROUNDS[input.value]);
+      view.background = Array(3).fill(BACKGROUNDS.get(input.value));
       painter.change();
     };
   }
-  const turns = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  const turns = new Map(Object.entries({ ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }));
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || ["SELECT", "INPUT"].includes(event.target.tagName)) return;
-    const key = event.key.toLowerCase();
-    const turn = turns[event.key];
+    const key = (event.key ?? "").toLowerCase(); // a form that is filled in has none
+    const turn = turns.get(event.key);
     if (turn) view.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
     else if (key === "r") reset();
     else if (key === "n" || key === "p") step(key === "n" ? 1 : -1);
@@ -144,8 +144,8 @@ function bar(view, painter, cameras, jump) {
 
 /** One of the swatches by its name; white for any other. */
 function setBackground(view, name) {
-  const key = name in BACKGROUNDS ? name : "white";
-  view.background = Array(3).fill(BACKGROUNDS[key]);
+  const key = BACKGROUNDS.has(name) ? name : "white";
+  view.background = Array(3).fill(BACKGROUNDS.get(key));
   document.querySelector(`[name=background][value=${key}]`).checked = true;
 }
 

@@ -80,5 +80,5 @@ export async function readCameras(name) {
   if (!Array.isArray(value?.cameras) || !value.cameras.every(good)) {
     throw new Problem(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
-  return value.cameras.map((camera, i) => ({ ...camera, name: String(camera.name || `Camera ${i + 1}`) }));
+  return value.cameras.map((camera, i) => ({ ...camera, name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}` }));
 }
