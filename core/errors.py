@@ -16,7 +16,11 @@ def printable(text: str) -> str:
 
 def clean(text: str, longest: int = LONGEST) -> str:
     """Text as one line of a length that people read: `printable`, without the middle where it is very long."""
-    text = printable(text[: 2 * longest] + text[-longest:] if len(text) > 4 * longest else text)
+    text = printable(_shortened(text, longest))
+    return _shortened("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text), longest)
+
+
+def _shortened(text: str, longest: int) -> str:
     return text if len(text) <= longest else f"{text[: longest * 2 // 3]} … {text[-longest // 4 :]}"
 
 

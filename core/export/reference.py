@@ -247,10 +247,10 @@ def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
     """
     path = folder / "scene_params.json"
     with reading(path, "export it again"):
-        return one_generation(folder, lambda: _read_reference(folder, path, progress))
+        return one_generation(folder, lambda: _read(folder, path, progress))
 
 
-def _read_reference(folder: Path, path: Path, progress: Progress) -> Snerg:
+def _read(folder: Path, path: Path, progress: Progress) -> Snerg:
     params = read_params(folder)
     places, indirection = read_indices(folder, params)
     cells = read_atlas(folder, params, places, progress)
