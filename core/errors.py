@@ -16,8 +16,7 @@ def printable(text: str) -> str:
 
 def clean(text: str, longest: int = LONGEST) -> str:
     """Text as one line of a length that people read: `printable`, without the middle where it is very long."""
-    text = printable(_shortened(text, longest))
-    return _shortened("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text), longest)
+    return _shortened(printable(_shortened(text, longest)), longest)  # shortened first: the text may be as long as a file
 
 
 def _shortened(text: str, longest: int) -> str:
