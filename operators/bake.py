@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import bpy
@@ -37,7 +36,7 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
         """Note what it came to, and warn of a box that turned out to hold nothing."""
         about = result.get("about", {})
         quality = about.get("refine", {}).get("psnr_after")
-        folder = project.folder / "scenes" / Path(result["path"]).name  # the project may have been moved since
+        folder = project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)

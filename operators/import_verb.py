@@ -11,7 +11,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
-from ..snerg_addon.project import VERSIONS, Project, remember
+from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import RELATIVE_PATHS
 from .job_runner import LongVerb
 
@@ -54,6 +54,6 @@ class ImportVerb(LongVerb):
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to."""
-        folder = project.folder / VERSIONS[self.key][0] / Path(result["to"]).name  # the project may have been moved since
+        folder = project.version_made(self.key, result["to"])
         remember(project, self.key, folder, result)
         return f"Imported the {self.what} into {folder}"

@@ -14,7 +14,7 @@ from ..core.jobs.runner import Job
 from ..snerg_addon import activity
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.owner import claim, write_owner
-from ..snerg_addon.project import Project, project_of
+from ..snerg_addon.project import Project, no_dataset, project_of
 
 
 class LongVerb:
@@ -131,7 +131,7 @@ def has_needed(verb: type[Any], context: bpy.types.Context) -> bool:
     if not verb.needs or coming or project.has(verb.needs) or awaited(project, verb.needs):
         return True
     if verb.needs == "dataset" and context.scene.snerg.dataset:
-        verb.poll_message_set(f"{project.dataset} holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there")
+        verb.poll_message_set(no_dataset(project))
     else:
         verb.poll_message_set(MISSING[verb.needs])
     return False

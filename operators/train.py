@@ -34,7 +34,7 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and why it went as it did."""
-        folder = project.folder / "fields" / Path(result["field"]).name  # the project may have been moved since
+        folder = project.version_made("field", result["field"])
         remember(project, "field", folder, result, decisions=result.get("decisions", []))
         quality = f" at {result['psnr']:.1f} dB" if isinstance(result.get("psnr"), float) else ""
         return f"Trained the field{quality}; it is in {folder}"

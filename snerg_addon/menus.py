@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 STEPS = (
-    ("snerg.render_dataset", "snerg.import_dataset"),
+    ("snerg.render_dataset", "snerg.use_views", "snerg.import_dataset"),
     ("snerg.train", "snerg.import_field"),
     ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene"),
     ("snerg.preview", "snerg.study"),

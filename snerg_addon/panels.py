@@ -14,7 +14,7 @@ from .bridge import PREVIEW, STUDY, box_of, resolution
 from .capture import views_there
 from .curve import Curve, curve_of
 from .owner import offered
-from .project import Project, project_of
+from .project import Project, no_dataset, project_of
 from .properties import LOSSY
 
 LINE = 44  # characters of a sentence in the sidebar as it opens
@@ -166,6 +166,8 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
         draw_render(layout, project_of(context.scene))
         layout.operator("snerg.import_dataset", icon="IMPORT")
         layout.prop(settings, "dataset", text="Train On")
+        if settings.dataset and (wrong := no_dataset(project_of(context.scene))):
+            facts(layout, *textwrap.wrap(wrong, LINE))
         note = project_of(context.scene).notes().get("dataset", {})
         if note and not settings.dataset:
             views = f"{note.get('train')} + {note.get('test')} test views"

@@ -124,6 +124,11 @@ class Project:
             except OSError as error:
                 raise cannot_write(path, error) from error
 
+    def version_made(self, step: str, path: str) -> Path:
+        """Where a version lies that a job wrote to `path`: the project may have been moved since."""
+        name = Path(path).name
+        return self.folder / step if name == step else self.folder / VERSIONS[step][0] / name
+
     def name_of(self, version: Path) -> str:
         """What the artist calls a version; its number where it has no name."""
         names = cached_json(self.folder / OWNER).get("names")
@@ -178,6 +183,14 @@ class Project:
             else:
                 notes.pop(step, None)
         return notes
+
+
+def no_dataset(project: Project) -> str:
+    """What is wrong with the folder to train on, in a sentence; '' where it holds a dataset."""
+    if project.has("dataset"):
+        return ""
+    missing = "is not there" if not project.dataset.exists() else "holds no transforms.json, poses_bounds.npy or COLMAP model"
+    return f"{project.dataset} {missing}: choose a folder with a dataset"
 
 
 def project_of(scene: bpy.types.Scene) -> Project:

@@ -46,7 +46,7 @@ def test_only_a_training_that_was_stopped_goes_on(scene):
     project = project_of(scene)
 
     def can():
-        return goes_on(scene, curve_of(project.field))
+        return goes_on(scene)
 
     assert not can()
     write_log(project.field, LINES)
