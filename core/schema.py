@@ -36,6 +36,13 @@ def whole(value: Any, name: str, low: int, high: int) -> int:
     return value
 
 
+def flag(value: Any, name: str) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is {shown(value)}; it must be true or false")
+    return value
+
+
 def text(value: Any, name: str) -> str:
     """A text."""
     if not isinstance(value, str):

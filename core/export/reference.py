@@ -31,7 +31,7 @@ from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
 from ..guard import reading, why
 from ..progress import Progress, silent
-from ..schema import FAR, number, numbers, pose, positive, shown, whole
+from ..schema import FAR, flag, number, numbers, pose, positive, shown, whole
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
 from .codecs import CodecSettings, read_picture
 from .scene import LARGEST, check_atlas, check_blocks, write_slices
@@ -289,7 +289,7 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
         voxel_size=positive(ours["voxel_size"], "voxel_size"),
         shape=(x, y, z),
         near=number(ours["near"], "near", 0),
-        fill_holes=bool(ours["fill_holes"]),
+        fill_holes=flag(ours["fill_holes"], "fill_holes"),
         about=check_about_scene(ours["about"]),
         ndc=ndc,
     )

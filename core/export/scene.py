@@ -22,7 +22,7 @@ from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from ..guard import check_file, reading
 from ..progress import Progress, silent
-from ..schema import number, numbers, pose, positive, record, rotation, whole
+from ..schema import flag, number, numbers, pose, positive, record, rotation, whole
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
 from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
@@ -224,7 +224,7 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
         near=number(value["near"], "near", 0),
         about=check_about_scene(value["about"]),
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
-        fill_holes=bool(value["fill_holes"]),
+        fill_holes=flag(value["fill_holes"], "fill_holes"),
     )
 
 

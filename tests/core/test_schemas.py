@@ -51,6 +51,8 @@ def scene(tmp_path_factory) -> Path:
     [
         ("near", put("near", float("nan"))),
         ("near", put("near", -1)),
+        ("fill_holes", put("fill_holes", "false")),
+        ("fill_holes", put("fill_holes", float("nan"))),
         ("view_rotation", put("view_rotation", [[1, 0], [0, 1]])),
         ("view_rotation", put("view_rotation", 0, 0, float("nan"))),
         ("view_rotation", put("view_rotation", (2 * np.eye(3)).tolist())),
