@@ -18,9 +18,10 @@ from snerg.core.errors import SnergError
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene import read_scene, write_scene
 from snerg.core.field.checkpoint import read_field_and_state, write_field
+from snerg.core.field.encoding import HashGrid
 from snerg.core.field.field import Field
 from snerg.core.field.log import Log, read_log
-from snerg.core.field.networks import HashFamily
+from snerg.core.field.networks import HashFamily, init_field
 from snerg.core.field.sampling import Domain
 from snerg.core.field.training_folder import finish
 from snerg.core.files import discard, json_bytes, read_json, write_bytes
@@ -39,15 +40,17 @@ class Save:
 def field(steps: int) -> Field:
     """A field that says how long it was trained, in its arrays too."""
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
-    params = {"table": np.full(64, float(steps))}
-    return Field(HashFamily(), params, None, domain, None, 0.01, about={"steps": steps}, view="diffuse")
+    family = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
+    drawn = init_field(family, "diffuse", np.random.default_rng(0))["field"]
+    params = {name: np.full_like(array, steps) for name, array in drawn.items()}
+    return Field(family, params, None, domain, None, 0.01, about={"steps": steps}, view="diffuse")
 
 
 def training_state(folder: Path) -> object:
     """The steps of a field, which its parameters and training state bear out, and of its log."""
     found, state = read_field_and_state(folder)
     steps = found.about["steps"]
-    assert (found.params["table"] == steps).all() and (not state or state["clock"] == steps)
+    assert all((array == steps).all() for array in found.params.values()) and (not state or state["clock"] == steps)
     return steps, [line["step"] for line in read_log(folder)]
 
 
