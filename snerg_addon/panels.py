@@ -166,7 +166,7 @@ class SNERG_PT_dataset(_Step, bpy.types.Panel):
         draw_render(layout, project_of(context.scene))
         layout.operator("snerg.import_dataset", icon="IMPORT")
         layout.prop(settings, "dataset", text="Train On")
-        if settings.dataset and (wrong := no_dataset(project_of(context.scene))):
+        if settings.dataset and (wrong := no_dataset(project_of(context.scene), settings.dataset)):
             facts(layout, *textwrap.wrap(wrong, LINE))
         note = project_of(context.scene).notes().get("dataset", {})
         if note and not settings.dataset:
