@@ -1,6 +1,7 @@
 """Commands that are killed at seeded moments and started again: the old result is there until the new one is, which equals an
 uninterrupted one."""
 
+import os
 import random
 import re
 import shutil
@@ -25,7 +26,7 @@ from snerg.core.files import check_replaceable
 from snerg.core.grid.bake import BakeSettings
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
-FEW, MANY = 3, 50
+FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
 from snerg.core import cli
