@@ -87,7 +87,7 @@ def _acquire(file: Path, path: Path) -> int:
                 raise
             continue
         try:
-            if _lock(descriptor) and _is_at(descriptor, file):
+            if try_lock(descriptor) and _is_at(descriptor, file):
                 return descriptor
         except BaseException:
             os.close(descriptor)
@@ -98,8 +98,8 @@ def _acquire(file: Path, path: Path) -> int:
         time.sleep(0.02)
 
 
-def _lock(descriptor: int) -> bool:
-    """Take the lock of an open file without waiting; False where another has it."""
+def try_lock(descriptor: int) -> bool:
+    """Take the lock of an open file without waiting; False where another has it. On a disk that has no locks everybody gets it."""
     try:
         if os.name == "nt":
             import msvcrt

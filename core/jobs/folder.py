@@ -16,7 +16,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import shutil
@@ -28,6 +27,7 @@ from typing import Any
 
 from ..errors import SnergError
 from ..files import cannot_write, json_bytes
+from ..lock import try_lock
 
 VARIABLE = "SNERG_JOB"  # of the environment: a job's own folder
 JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
@@ -44,8 +44,6 @@ JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
 STARTING_SECONDS = 60.0  # a process may take from its start until it has locked its lock
 KEPT = 20  # folders of jobs that ended and were taken in
 MAX_RECORD = 2**24  # bytes
-LOCKED_BYTE = 2**20  # Windows locks a range of bytes, which nobody else can read: it lies behind the text
-HELD = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}  # what systems answer where another process has the lock
 
 
 def new_job(project: Path, record: Mapping[str, Any], prepare: Callable[[Path], None] | None = None) -> Path:
@@ -138,13 +136,10 @@ def hold(path: Path) -> int | None:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644)
     except OSError as error:
         raise cannot_write(path, error) from error
-    try:
-        _lock(descriptor)
-    except OSError as error:
-        if error.errno in HELD:
-            os.close(descriptor)
-            return None
-    return descriptor
+    if try_lock(descriptor):
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def is_held(path: Path) -> bool:
@@ -158,16 +153,3 @@ def is_held(path: Path) -> bool:
     with contextlib.suppress(OSError):
         os.close(descriptor)
     return False
-
-
-def _lock(descriptor: int) -> None:
-    if os.name == "nt":
-        import msvcrt
-
-        os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        os.lseek(descriptor, 0, os.SEEK_SET)
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
