@@ -189,8 +189,7 @@ def no_dataset(project: Project, name: str = "") -> str:
     """What is wrong with the folder to train on, in a sentence; '' where it holds a dataset. name: what to call it; its path where ''."""
     if project.has("dataset"):
         return ""
-    missing = "is not there" if not project.dataset.exists() else "holds no transforms.json, poses_bounds.npy or COLMAP model"
-    return f"{name or project.dataset} {missing}: choose a folder with a dataset"
+    return f"{name or project.dataset} holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there"
 
 
 def project_of(scene: bpy.types.Scene) -> Project:
