@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -354,6 +355,8 @@ def test_a_project_with_a_job_moves_when_that_has_ended(fresh):
     folder = render()
     job = Job([sys.executable, "-c", "pass"], job_environment())
     job.begin(folder, {"operator": "snerg.export_scene", "label": "A job", "scene": bpy.context.scene.name})
+    while job.poll():  # only its folder is needed
+        time.sleep(0.01)
     lock = folders.hold(job.folder / folders.LOCK)  # as a job's process holds it while it runs
     os.write(lock, b"1")
     try:
