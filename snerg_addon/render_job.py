@@ -21,7 +21,6 @@ from .capture import CaptureSettings, Shot, render_dataset
 
 ARGUMENT = "--render-job"  # as launcher.py reads it
 COPY, ORDER = "scene.blend", "render.json"
-GRACE_SECONDS = 0.3  # after being told to stop: every view is whole or not there, so that none needs to be put away
 
 
 def render_job(
@@ -92,7 +91,7 @@ def save_painted(folder: Path) -> dict[str, str]:
 def main() -> int:
     """The process's exit code; called by launcher.py."""
     reporter = job_reporter()
-    reporter.grace_seconds, reporter.last_words = GRACE_SECONDS, "Stopped as you asked; the views that were rendered are kept."
+    reporter.last_words = "Stopped as you asked; the views that were rendered are kept."
     return run_job(render)
 
 

@@ -47,13 +47,12 @@ class Progress(Protocol):
 class JobReporter:
     """The job's side. Call it with (fraction, message): it tells whoever watches, or raises Cancelled.
 
-    stream: where the lines go. stopping: set when the job shall stop. grace_seconds: until it is ended then,
-    if it has not ended, with the sentence last_words.
+    stream: where the lines go. stopping: set when the job shall stop. last_words: the sentence with which it is
+    ended then, if it has not ended by itself.
     """
 
     def __init__(self, stream: TextIO, stopping: threading.Event) -> None:
         self.stopping = stopping
-        self.grace_seconds = GRACE_SECONDS
         self.last_words = "Stopped; what it had not yet saved is lost."
         self._stream = stream
         self._lock = threading.Lock()
@@ -159,7 +158,7 @@ def _listen(folder: Path, reporter: JobReporter) -> None:
     while folder.exists() and not (folder / folders.STOP).exists():
         time.sleep(LISTEN_SECONDS)
     reporter.stopping.set()
-    time.sleep(reporter.grace_seconds)
+    time.sleep(GRACE_SECONDS)
     reporter.cancelled(reporter.last_words)
     os._exit(EXIT_CANCELLED)
 
