@@ -72,6 +72,11 @@ class Devices:
         told = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
         return float(told[0, 0]), bool(told[:, 1].any())
 
+    def leave(self) -> None:
+        """Part from the other processes, all of which must call this now: one that only ended would be an error to the others."""
+        if self.processes > 1:
+            jax.distributed.shutdown()
+
     def _put(self, spec: PartitionSpec, array: Any) -> Any:
         array = np.asarray(array)
         return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])  # type: ignore[arg-type]

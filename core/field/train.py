@@ -237,6 +237,7 @@ class Trainer:
         """The seconds that count in all processes. Raises Cancelled in all of them when one is `stopping`."""
         elapsed, stop = self.devices.agreed(elapsed, self.stopping)
         if stop:
+            self.devices.leave()
             raise Cancelled("Stopped together with the other processes of this training; start them all again to go on.")
         return elapsed
 

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,11 +120,15 @@ def test_one_process_that_is_stopped_stops_the_others_with_a_sentence(dataset, t
     launcher = Path(__file__).parents[3] / "launcher.py"
     command = [sys.executable, str(launcher), "train", str(dataset), "--out", str(tmp_path / "field"), "--minutes", "60", *small]
     together = ["--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process"]
-    running = [subprocess.Popen([*command, *together, str(i)], stderr=subprocess.PIPE, text=True) for i in range(2)]
-    next(line for line in running[1].stderr if "Step" in line)
-    running[1].send_signal(signal.SIGINT)
-    for process in running:
-        assert "Stopped together" in process.communicate(timeout=300)[1].splitlines()[-1] and process.returncode == 130
+    with ExitStack() as ended:
+        running = [subprocess.Popen([*command, *together, str(i)], stderr=subprocess.PIPE, text=True) for i in range(2)]
+        for process in running:
+            ended.enter_context(process)  # closes its pipe and waits for it
+            ended.callback(process.kill)
+        next(line for line in running[1].stderr if "Step" in line)
+        running[1].send_signal(signal.SIGINT)
+        for process in running:
+            assert "Stopped together" in process.communicate(timeout=300)[1].splitlines()[-1] and process.returncode == 130
     assert is_field(tmp_path / "field")
 
 
