@@ -41,7 +41,9 @@ if TYPE_CHECKING:
     from .field.field import Field
 
 __all__ = ["bake_scene", "bundle_scene", "evaluate", "export_reference", "import_source", "info", "render_views", "train_field"]
-EIGHTH, BAKE, MARCH = DatasetOptions(), BakeSettings(), MarchSettings()
+DEFAULT_OPTIONS = DatasetOptions()
+DEFAULT_BAKE = BakeSettings()
+DEFAULT_MARCH = MarchSettings()
 
 
 def train_field(
@@ -51,7 +53,7 @@ def train_field(
     minutes: float | None = None,
     steps: int | None = None,
     seed: int = 0,
-    options: DatasetOptions = EIGHTH,
+    options: DatasetOptions = DEFAULT_OPTIONS,
     values: Mapping[str, str] | None = None,
     progress: Progress = silent,
 ) -> Result:
@@ -131,7 +133,7 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
 def bake_scene(
     field: Path,
     out: Path,
-    settings: BakeSettings = BAKE,
+    settings: BakeSettings = DEFAULT_BAKE,
     box: Path | None = None,
     refine: bool = True,
     progress: Progress = silent,
@@ -214,7 +216,7 @@ def render_views(
     width: int | None = None,
     height: int | None = None,
     progress: Progress = silent,
-    settings: MarchSettings = MARCH,
+    settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
     """March a scene from each camera of a transforms file into PNGs with straight alpha, one a camera.
 
