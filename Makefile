@@ -37,7 +37,7 @@ node_modules/.installed: package.json package-lock.json
 	npm ci --no-audit --no-fund --loglevel=error
 	touch $@
 
-build/viewer.stamp: node_modules/.installed $(shell find core/export/viewer -type f -not -path '*/dist/*' 2>/dev/null)
+build/viewer.stamp: node_modules/.installed $(shell find viewer -type f -not -path '*/dist/*' 2>/dev/null)
 	npm run --silent build
 	mkdir -p build && touch $@
 
@@ -85,4 +85,4 @@ extension: setup
 	$(PY) tools/build_extension.py
 
 clean:
-	rm -rf build .venv .venv-* node_modules core/export/viewer/dist *.egg-info
+	rm -rf build .venv .venv-* node_modules viewer/dist *.egg-info

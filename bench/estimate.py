@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from common import OUT, described, markdown, snerg
 
-from snerg.core.describe import folder_bytes
-from snerg.core.export.scene import read_scene
-from snerg.core.field.checkpoint import read_field
-from snerg.core.grid.bake import BakeSettings
-from snerg.core.grid.march import march
-from snerg.core.grid.tables import tables_of
-from snerg.core.study.estimate import estimate
-from snerg.core.study.survey import Survey, survey
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.export.scene_files import read_scene
+from snerg.core.io.files import folder_bytes
+from snerg.core.nerf.checkpoint import read_field
+from snerg.core.rendering.acceleration import tables_of
+from snerg.core.rendering.render import march
+from snerg.core.study.cost_model import estimate
+from snerg.core.study.field_probe import Survey, survey
 
 CONFIGURATIONS = ((128, 4), (256, 1), (256, 4), (256, 0), (384, 2), (512, 1), (512, 4), (512, 0))
 GOOD = 0.25

@@ -29,6 +29,8 @@ from typing import Any
 
 import numpy as np
 
+from snerg.core.commands.info import page_cameras
+
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 MEMORY = 2**30  # bytes that a reader may take beside what the worker has
@@ -57,30 +59,29 @@ def subjects() -> list[Subject]:
 
     import flax_checkpoint
     from scenes import make_cameras, make_snerg, random_network
-    from snerg.core import describe
-    from snerg.core.capture.dataset import read_dataset
-    from snerg.core.capture.images import read_image, read_mask
-    from snerg.core.capture.readers.ply import read_ply
-    from snerg.core.capture.readers.transforms import read_cameras, write_transforms
+    from snerg.core.baking.resume import Kept
+    from snerg.core.data.load import read_dataset
+    from snerg.core.data.readers.ply import read_ply
+    from snerg.core.data.readers.transforms import read_cameras, write_transforms
     from snerg.core.export.bundle import cameras_json
     from snerg.core.export.codecs import CodecSettings
     from snerg.core.export.reference import read_reference, write_reference
-    from snerg.core.export.scene import codec_of, read_scene, write_scene
-    from snerg.core.field.checkpoint import read_field, write_field
-    from snerg.core.field.encoding import HashGrid
-    from snerg.core.field.field import Field
-    from snerg.core.field.log import read_log
-    from snerg.core.field.networks import HashFamily, MlpFamily, init_field
-    from snerg.core.field.reference_checkpoint import field_of, read_reference_checkpoint
-    from snerg.core.field.sampling import CELLS, Domain
-    from snerg.core.files import json_bytes, write_arrays
-    from snerg.core.grid.box import Box
-    from snerg.core.grid.kept import Kept
-    from snerg.core.guard import reading
-    from snerg.core.study import effects, kept_survey
+    from snerg.core.export.scene_files import codec_of, read_scene, write_scene
+    from snerg.core.geometry.box import Box
+    from snerg.core.io.files import json_bytes, write_arrays
+    from snerg.core.io.guard import reading
+    from snerg.core.io.images import read_image, read_mask
+    from snerg.core.nerf.checkpoint import read_field, write_field
+    from snerg.core.nerf.field import Field
+    from snerg.core.nerf.hash_grid import HashGrid
+    from snerg.core.nerf.model import HashFamily, MlpFamily, init_field
+    from snerg.core.nerf.reference_checkpoint import field_of, read_reference_checkpoint
+    from snerg.core.nerf.sampling import CELLS, Domain
+    from snerg.core.study import effects, field_probe_file
+    from snerg.core.study.field_probe import Rates, Survey
     from snerg.core.study.plan import Config
-    from snerg.core.study.survey import Rates, Survey
     from snerg.core.study.sweep import read_row
+    from snerg.core.training.log import read_log
 
     small = make_snerg((14, 12, 15))
     ring, facing = captures.ring(4), captures.facing(4)
@@ -145,11 +146,11 @@ def subjects() -> list[Subject]:
         looked = Survey(
             nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
         )
-        kept_survey.write_survey(folder / "survey.npz", looked, "mark")
+        field_probe_file.write_survey(folder / "survey.npz", looked, "mark")
 
     def read_survey(folder: Path) -> None:
         with reading(folder / "survey.npz", "delete it"):
-            kept_survey.check(*kept_survey.opened(folder / "survey.npz"))
+            field_probe_file.check(*field_probe_file.opened(folder / "survey.npz"))
 
     def ply(folder: Path) -> None:
         head = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
@@ -187,7 +188,7 @@ def subjects() -> list[Subject]:
         Subject("box", lambda f: (f / "b.json").write_bytes(json_bytes(Box.axis_aligned([0] * 3, [1] * 3).to_json())),
                 lambda f: Box.read(f / "b.json"), ("b.json",)),
         Subject("page", lambda f: (f / "cameras.json").write_bytes(json_bytes(cameras_json(make_cameras()))),
-                lambda f: describe.page_cameras(f / "cameras.json"), ("cameras.json",)),
+                lambda f: page_cameras(f / "cameras.json"), ("cameras.json",)),
         Subject("study row", row, lambda f: read_row(f / "row.json"), ("row.json",)),
         Subject("survey", survey, read_survey, ("survey.npz",)),
         Subject("resume folder", kept, lambda f: list(Kept(f, "key").read("stage")), ("*.npz",)),

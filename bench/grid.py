@@ -24,21 +24,21 @@ import march as marching
 from common import OUT, demo, described, markdown, on_machine, snerg
 from plot import Panel, save_plot
 
-from snerg.core.capture.dataset import Dataset
-from snerg.core.capture.images import over, write_png
-from snerg.core.describe import folder_bytes
+from snerg.core.baking.bake import BakeSettings, bake
+from snerg.core.data.dataset import Dataset
 from snerg.core.errors import SnergError
-from snerg.core.evaluate import COLUMNS, Score, Target, held_out, open_target, options_of, trained
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import read_scene, write_scene
-from snerg.core.field.checkpoint import read_field
-from snerg.core.field.held_out import some_views
-from snerg.core.files import json_bytes
-from snerg.core.grid.bake import BakeSettings, bake
-from snerg.core.grid.march import MarchSettings
-from snerg.core.grid.snerg import Snerg
+from snerg.core.export.scene_files import read_scene, write_scene
+from snerg.core.io.files import folder_bytes, json_bytes
+from snerg.core.io.images import over, write_png
+from snerg.core.nerf.checkpoint import read_field
 from snerg.core.progress import silent
-from snerg.core.study.pictures import contact_sheet, error_picture
+from snerg.core.rendering.render import MarchSettings
+from snerg.core.scene.scene import Snerg
+from snerg.core.study.contact_sheet import contact_sheet, error_picture
+from snerg.core.study.evaluate import COLUMNS, Score, Target, held_out, open_target
+from snerg.core.training.provenance import options_of, trained
+from snerg.core.training.validation import some_views
 
 USUAL = MarchSettings()
 MINUTES = 3.0  # to train the demo's field

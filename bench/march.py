@@ -17,11 +17,11 @@ import numpy as np
 from common import ROOT
 from naive_march import naive_march
 
-from snerg.core.capture.camera import Camera
-from snerg.core.grid import walk
-from snerg.core.grid.march import INVISIBLE, MarchSettings, march, march_rays, progressive, tiled
-from snerg.core.grid.snerg import Snerg
-from snerg.core.grid.tables import tables_of
+from snerg.core.geometry.camera import Camera
+from snerg.core.rendering import ray_marcher
+from snerg.core.rendering.acceleration import tables_of
+from snerg.core.rendering.render import INVISIBLE, MarchSettings, march, march_rays, progressive, tiled
+from snerg.core.scene.scene import Snerg
 
 ALONE = MarchSettings(threads=1)
 SHOWN = MarchSettings(INVISIBLE)
@@ -130,17 +130,17 @@ def interpolated() -> Iterator[list[np.ndarray]]:
     """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array."""
     calls: list[np.ndarray] = []
 
-    class Kept(walk.Interpolate):
+    class Kept(ray_marcher.Interpolate):
         def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
             calls.append(first.copy())
             return super().__call__(first, fraction)
 
-    usual = walk.Interpolate
-    walk.Interpolate = Kept  # type: ignore[misc]
+    usual = ray_marcher.Interpolate
+    ray_marcher.Interpolate = Kept  # type: ignore[misc]
     try:
         yield calls
     finally:
-        walk.Interpolate = usual  # type: ignore[misc]
+        ray_marcher.Interpolate = usual  # type: ignore[misc]
 
 
 def gathering(snerg: Snerg, camera: Camera, size: int) -> dict[str, Any]:
@@ -148,8 +148,8 @@ def gathering(snerg: Snerg, camera: Camera, size: int) -> dict[str, Any]:
     view, tables = sized(camera, size), tables_of(snerg)
     with interpolated() as calls:
         march(snerg, view, ALONE)
-    reader = walk.Interpolate(tables)
-    spare = np.empty((walk.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
+    reader = ray_marcher.Interpolate(tables)
+    spare = np.empty((ray_marcher.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
 
     def read(calls: list[np.ndarray]) -> None:
         for first in calls:
@@ -158,7 +158,9 @@ def gathering(snerg: Snerg, camera: Camera, size: int) -> dict[str, Any]:
 
     samples = sum(len(first) for first in calls)
     rng = np.random.default_rng(0)
-    anywhere = rng.integers(0, len(reader.corners[-1]), max(1, RANDOM // 8 // walk.SLICE) * walk.SLICE).reshape(-1, walk.SLICE)
+    anywhere = rng.integers(0, len(reader.corners[-1]), max(1, RANDOM // 8 // ray_marcher.SLICE) * ray_marcher.SLICE).reshape(
+        -1, ray_marcher.SLICE
+    )
     return {
         "pixels": size,
         "rays": view.width * view.height,

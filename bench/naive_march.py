@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from snerg.core.capture.camera import Camera
-from snerg.core.grid.approach import enter
-from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
-from snerg.core.grid.march import Composited, shade
-from snerg.core.grid.snerg import Snerg
+from snerg.core.geometry.camera import Camera
+from snerg.core.nerf.frame import Composited, shade
+from snerg.core.rendering.packet_traversal import enter
+from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
+from snerg.core.scene.scene import Snerg
 
 
 def naive_march(snerg: Snerg, camera: Camera) -> np.ndarray:

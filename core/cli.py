@@ -18,21 +18,31 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
-from . import interrupt, predict, verbs
-from .capture.dataset import DatasetOptions
+from .baking.bake import AUTO, BakeSettings
+from .commands.bake import bake_scene
+from .commands.bundle import bundle_scene
+from .commands.effects import effects, effects_text
+from .commands.estimate import estimate
+from .commands.export import export_reference
+from .commands.import_artifact import import_source
+from .commands.info import info
+from .commands.render import render_views
+from .commands.train import settings_of, train_field
+from .data.dataset import DatasetOptions
 from .errors import Cancelled, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
-from .export.scene import PNG
-from .field.devices import connect, device_report
-from .field.networks import VIEWS
-from .field.settings import PRESETS
-from .grid.bake import AUTO, BakeSettings
-from .grid.march import MarchSettings
+from .export.scene_files import PNG
+from .jobs import interrupt
 from .jobs.protocol import EXIT_ERROR, run_job
+from .nerf.model import VIEWS
 from .progress import Note, Progress
+from .rendering.render import MarchSettings
 from .start import STOPPED as EXIT_STOPPED
-from .study.front import Target
+from .study.evaluate import evaluate
+from .study.pareto import Target
 from .study.plan import StudySettings
+from .training.config import PRESETS
+from .training.devices import connect, device_report
 
 LONGEST_PATH = 2**15  # characters, Windows' limit
 EVERY_SECONDS = 5.0  # between lines of progress where they cannot be written over
@@ -98,7 +108,7 @@ def parser() -> argparse.ArgumentParser:
     train.add_argument("--processes", type=count, default=1, metavar="N", help="how many there are")
     train.add_argument("--process", type=natural, default=0, metavar="I", help="which of them this is, from 0")
 
-    bring = verb("import", "bring in a checkpoint, field or baked scene", lambda o, p: verbs.import_source(o.source, o.out, p))
+    bring = verb("import", "bring in a checkpoint, field or baked scene", lambda o, p: import_source(o.source, o.out, p))
     bring.add_argument("source", type=path, metavar="SOURCE")
     bring.add_argument("--out", type=path, required=True, metavar="PATH")
 
@@ -124,7 +134,7 @@ def parser() -> argparse.ArgumentParser:
     render = verb(
         "render",
         "render a scene from cameras",
-        lambda o, p: verbs.render_views(o.scene, o.cameras, o.out, o.width, o.height, p, _march(o)),
+        lambda o, p: render_views(o.scene, o.cameras, o.out, o.width, o.height, p, _march(o)),
     )
     render.add_argument("scene", type=path, metavar="SCENE")
     render.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
@@ -133,12 +143,12 @@ def parser() -> argparse.ArgumentParser:
     render.add_argument("--height", type=count, metavar="H")
     _marching(render)
 
-    export = verb("export", "write a scene in the reference PNG layout", lambda o, p: verbs.export_reference(o.scene, o.out, p))
+    export = verb("export", "write a scene in the reference PNG layout", lambda o, p: export_reference(o.scene, o.out, p))
     export.add_argument("scene", type=path, metavar="SCENE")
     export.add_argument("--out", type=path, required=True, metavar="DIR")
 
     bundle = verb(
-        "bundle", "write a scene as a web page", lambda o, p: verbs.bundle_scene(o.scene, o.out, o.cameras, o.single_file, p, _codec(o))
+        "bundle", "write a scene as a web page", lambda o, p: bundle_scene(o.scene, o.out, o.cameras, o.single_file, p, _codec(o))
     )
     bundle.add_argument("scene", type=path, metavar="SCENE")
     bundle.add_argument("--out", type=path, required=True, metavar="DIR")
@@ -146,9 +156,9 @@ def parser() -> argparse.ArgumentParser:
     bundle.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     _storing(bundle, "the scene's own")
 
-    called = verb("effects", "say which optional effects a scene calls for, and why", lambda o, p: predict.effects(o.path, p))
+    called = verb("effects", "say which optional effects a scene calls for, and why", lambda o, p: effects(o.path, p))
     called.add_argument("path", type=path, metavar="PATH")
-    called.set_defaults(show=predict.effects_text)
+    called.set_defaults(show=effects_text)
 
     ahead = verb("estimate", "say what training a dataset, or baking a field, will take on this machine", _estimate)
     ahead.add_argument("path", type=path, metavar="DATASET_OR_FIELD")
@@ -251,7 +261,7 @@ def _bake(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
         quantise=options.quantise,
         network=options.network,
     )
-    return verbs.bake_scene(options.field, options.out, settings, options.box, options.refine, progress, _codec(options) or PNG)
+    return bake_scene(options.field, options.out, settings, options.box, options.refine, progress, _codec(options) or PNG)
 
 
 def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
@@ -259,27 +269,25 @@ def _train(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
         raise SnergError("Several processes need to meet; give --coordinator HOST:PORT, the same for each.")
     named = {name: getattr(options, name) for name in ("view_dependence", "background", "ndc")}
     values = dict(options.set) | {name: value for name, value in named.items() if value is not None}
-    verbs.settings_of(options.preset, options.minutes, options.steps, options.seed, values)  # before others wait for this one
+    settings_of(options.preset, options.minutes, options.steps, options.seed, values)  # before others wait for this one
     if options.coordinator is not None:
         connect(options.coordinator, options.processes, options.process)
     reading = DatasetOptions(options.holdout, options.downscale)
-    return verbs.train_field(
+    return train_field(
         options.dataset, options.out, options.preset, options.minutes, options.steps, options.seed, reading, values, progress
     )
 
 
 def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     dataset = options.dataset or options.named_dataset
-    return verbs.evaluate(
-        options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress, _march(options)
-    )
+    return evaluate(options.target, dataset, options.split, options.holdout, options.downscale, options.out, progress, _march(options))
 
 
 def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
-    training = verbs.settings_of(options.preset, options.minutes, options.steps, 0, {})
+    training = settings_of(options.preset, options.minutes, options.steps, 0, {})
     settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, samples=options.samples)
     size = options.width, options.height
-    return predict.estimate(options.path, training, settings, options.box, options.refine, size, survey=options.survey, progress=progress)
+    return estimate(options.path, training, settings, options.box, options.refine, size, survey=options.survey, progress=progress)
 
 
 def _study(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
@@ -295,7 +303,7 @@ def _info(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
         return device_report()
     if options.path is None:
         raise SnergError("There is nothing to describe; give a path, or --devices.")
-    return verbs.info(options.path, progress)
+    return info(options.path, progress)
 
 
 @contextmanager

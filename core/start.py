@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     code = cli.main(words)
     if code == STOPPED:
-        from .interrupt import end
+        from .jobs.interrupt import end
 
         end(code)
     return code

@@ -21,25 +21,25 @@ import numpy as np
 from build_scene import CAMERAS, SIZE, build
 
 import snerg
-from snerg.core.capture.dataset import Dataset, read_dataset
-from snerg.core.capture.images import over, write_png
+from snerg.core.baking.bake import BakeSettings, bake
+from snerg.core.baking.fine_tune import RefineSettings, refine
 from snerg.core.cli import Terminal
-from snerg.core.describe import folder_bytes
-from snerg.core.evaluate import Score
+from snerg.core.data.dataset import Dataset
+from snerg.core.data.load import read_dataset
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import write_reference
-from snerg.core.export.scene import write_scene
-from snerg.core.field.field import Field
-from snerg.core.field.render import render_field
-from snerg.core.field.settings import PRESETS
-from snerg.core.field.train import train
-from snerg.core.files import json_bytes, write_bytes
-from snerg.core.grid.bake import BakeSettings, bake
-from snerg.core.grid.box import Box
-from snerg.core.grid.march import march
-from snerg.core.grid.refine import RefineSettings, refine
-from snerg.core.grid.snerg import Snerg
-from snerg.core.study.pictures import contact_sheet, error_picture
+from snerg.core.export.scene_files import write_scene
+from snerg.core.geometry.box import Box
+from snerg.core.io.files import folder_bytes, json_bytes, write_bytes
+from snerg.core.io.images import over, write_png
+from snerg.core.nerf.field import Field
+from snerg.core.nerf.render import render_field
+from snerg.core.rendering.render import march
+from snerg.core.scene.scene import Snerg
+from snerg.core.study.contact_sheet import contact_sheet, error_picture
+from snerg.core.study.evaluate import Score
+from snerg.core.training.config import PRESETS
+from snerg.core.training.trainer import train
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated, render_dataset
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.grid.box import Box
+from ..core.geometry.box import Box
 from ..snerg_addon.bridge import add_box
 from ..snerg_addon.capture import evaluated
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..core.files import json_bytes, write_bytes
+from ..core.io.files import json_bytes, write_bytes
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import box_from_blender, box_of

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..core.capture.readers.transforms import write_transforms
+from ..core.data.readers.transforms import write_transforms
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.capture import core_cameras

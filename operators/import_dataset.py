@@ -10,8 +10,9 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.capture.camera import Camera
-from ..core.capture.dataset import Dataset, DatasetOptions, View, read_dataset
+from ..core.data.dataset import Dataset, DatasetOptions, View
+from ..core.data.load import read_dataset
+from ..core.geometry.camera import Camera
 from ..snerg_addon.activity import Thought, Work
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
 from ..snerg_addon.owner import shown

@@ -11,12 +11,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.capture.camera import Camera
 from ..core.errors import Cancelled, SnergError
-from ..core.export.scene import read_scene
-from ..core.grid.march import INVISIBLE, Frame, MarchSettings, progressive
-from ..core.grid.snerg import Snerg
+from ..core.export.scene_files import read_scene
+from ..core.geometry.camera import Camera
 from ..core.jobs.runner import State, outcome
+from ..core.nerf.frame import Frame
+from ..core.rendering.render import INVISIBLE, MarchSettings, progressive
+from ..core.scene.scene import Snerg
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated

@@ -7,10 +7,10 @@ from typing import Any
 
 import bpy
 
-from ..core.capture.rig import RigSettings, rig_cameras
-from ..core.describe import is_dataset
+from ..core.artifact import is_dataset
+from ..core.data.rig import RigSettings, rig_cameras
 from ..core.errors import SnergError
-from ..core.files import check_replaceable
+from ..core.io.files import check_replaceable
 from ..snerg_addon.activity import Steps, Work
 from ..snerg_addon.bridge import box_from_blender, box_of, resolution
 from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated, render_steps, unfinished

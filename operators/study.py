@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from ..core.files import write_bytes
+from ..core.io.files import write_bytes
 from ..core.jobs.runner import start_verb
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import STUDY

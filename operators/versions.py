@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..core.errors import SnergError
-from ..core.files import cannot_write
+from ..core.io.files import cannot_write
 from ..core.jobs import folder as folders
 from ..snerg_addon.owner import adopt
 from ..snerg_addon.project import VERSIONS, Project, project_of

@@ -8,13 +8,13 @@ from typing import Any
 
 import bpy
 
+from ..core.baking.bake import BakeSettings
 from ..core.errors import SnergError
-from ..core.field.checkpoint import read_field
-from ..core.grid.bake import BakeSettings
-from ..core.grid.box import Box
-from ..core.study.estimate import estimate
-from ..core.study.kept_survey import read_survey, stamp
-from ..core.study.survey import Survey
+from ..core.geometry.box import Box
+from ..core.nerf.checkpoint import read_field
+from ..core.study.cost_model import estimate
+from ..core.study.field_probe import Survey
+from ..core.study.field_probe_file import read_survey, stamp
 from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 

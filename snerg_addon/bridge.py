@@ -11,10 +11,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..core.capture.camera import Camera
-from ..core.capture.images import to_uint8
 from ..core.errors import SnergError
-from ..core.grid.box import Box
+from ..core.geometry.box import Box
+from ..core.geometry.camera import Camera
+from ..core.io.images import to_uint8
 
 SENSOR = 36.0  # mm across the picture, of cameras that we make
 PREVIEW = "SNeRG Preview"

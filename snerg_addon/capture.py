@@ -16,12 +16,12 @@ from typing import Any, TypeAlias
 
 import bpy
 
-from ..core.capture.camera import Camera
-from ..core.capture.images import read_size
-from ..core.capture.readers.transforms import intrinsics_json, write_transforms
+from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
-from ..core.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
-from ..core.grid.box import Box
+from ..core.geometry.box import Box
+from ..core.geometry.camera import Camera
+from ..core.io.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
+from ..core.io.images import read_size
 from .bridge import camera_from_blender, set_camera, temporary_camera
 
 Shot: TypeAlias = bpy.types.Object | Camera

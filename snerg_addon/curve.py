@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import SnergError
-from ..core.field.log import FILE, read_log
+from ..core.training.log import FILE, read_log
 
 BARS = "▁▂▃▄▅▆▇█"
 WIDTH = 32  # bars across the sidebar
@@ -46,7 +46,7 @@ def curve_of(folder: Path) -> Curve | None:
 
 
 def read_curve(lines: list[dict[str, Any]]) -> Curve:
-    """The curve of a log's lines (see core/field/log.py)."""
+    """The curve of a log's lines (see core/training/log.py)."""
     rays = [line for line in lines if _is_number(line.get("psnr"))]
     held = [line for line in lines if _is_number(line.get("held_out_psnr"))]
     last = rays[-1] if rays else {}

@@ -21,7 +21,7 @@ from typing import Any
 import bpy
 
 from ..core.errors import SnergError
-from ..core.files import cannot_write, json_bytes, read_json, write_bytes
+from ..core.io.files import cannot_write, json_bytes, read_json, write_bytes
 
 OWNER = "project.json"
 OLD_FOLDER = "//snerg"  # of projects made before they had owners

@@ -16,8 +16,8 @@ from typing import Any
 
 import bpy
 
-from ..core.describe import folder_bytes, is_dataset
-from ..core.files import cannot_write, json_bytes, write_bytes
+from ..core.artifact import is_dataset
+from ..core.io.files import cannot_write, folder_bytes, json_bytes, write_bytes
 from .owner import OWNER, absolute, cached_json, folder_of
 
 VERSIONS = {

@@ -9,10 +9,10 @@ from typing import Any
 
 import bpy
 
-from ..core.capture.rig import RigSettings, rig_cameras
+from ..core.data.rig import RigSettings, rig_cameras
 from ..core.errors import SnergError
-from ..core.files import json_bytes, read_json, write_bytes
-from ..core.grid.box import Box
+from ..core.geometry.box import Box
+from ..core.io.files import json_bytes, read_json, write_bytes
 from ..core.jobs import folder as folders
 from ..core.jobs.protocol import Progress, job_reporter, own_folder, run_job
 from ..core.jobs.runner import LAUNCHER, Job, job_environment

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from scenes import looking, rotation
-from snerg.core.capture.camera import Camera
-from snerg.core.capture.distortion import Distortion
-from snerg.core.capture.images import write_png
-from snerg.core.capture.readers.transforms import intrinsics_json
+from snerg.core.data.readers.transforms import intrinsics_json
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.distortion import Distortion
+from snerg.core.io.images import write_png
 
 LENS = Distortion("opencv", (-0.1, 0.02, 0.001, -0.002))
 FISHEYE = Distortion("fisheye", (0.02, -0.01, 0.001, 0.0))

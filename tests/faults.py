@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 from unittest.mock import patch
 
-from snerg.core import files
+from snerg.core.io import files
 
 CALLS = ("replace", "rename", "fsync", "mkdir", "ftruncate", "write", "sendfile")  # of os
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from snerg.core.capture.camera import Camera
-from snerg.core.capture.ndc import Ndc
-from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
-from snerg.core.grid.snerg import NETWORK_TRANSMITTANCE, Snerg
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.ndc import Ndc
+from snerg.core.nerf.frame import NETWORK_TRANSMITTANCE
+from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
+from snerg.core.scene.scene import Snerg
 
 
 @dataclass(frozen=True, eq=False)

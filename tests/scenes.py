@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from snerg.core.capture.camera import Camera
-from snerg.core.capture.images import to_uint8, write_png
-from snerg.core.capture.ndc import Ndc
-from snerg.core.capture.readers.transforms import write_transforms
-from snerg.core.field.networks import SHAPES, ViewNetwork
-from snerg.core.grid.box import CELL_VOXELS, DATA_VOXELS
-from snerg.core.grid.march import march
-from snerg.core.grid.snerg import Snerg, blocks_of
+from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.ndc import Ndc
+from snerg.core.io.images import to_uint8, write_png
+from snerg.core.nerf.model import SHAPES, ViewNetwork
+from snerg.core.rendering.render import march
+from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
+from snerg.core.scene.scene import Snerg, blocks_of
 
 
 def rotation(angles: tuple[float, float, float]) -> np.ndarray:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from snerg.core import verbs
-from snerg.core.capture.images import read_image
+from snerg.core.commands.train import train_field
+from snerg.core.io.images import read_image
 
 ROOT = Path(__file__).parent.parent
 
@@ -45,7 +45,7 @@ def test_rows_that_there_are_not(tmp_path):
 @pytest.mark.slow
 def test_the_grid_is_measured_and_its_scaling_drawn(dataset, tmp_path):
     pytest.importorskip("jax")
-    verbs.train_field(dataset, tmp_path / "field", steps=12, values={"view_dependence": "deferred"})
+    train_field(dataset, tmp_path / "field", steps=12, values={"view_dependence": "deferred"})
     rows = "bake,large,preview,profile,gather,scaling,whole,no-network,sample-network,webp,half"
     tiny = ("--views", 2, "--resolution", 48, "--large", 60, "--size", 16, "--out", tmp_path / "out")
     result = run("--field", tmp_path / "field", "--rows", rows, *tiny, bench="grid")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from snerg.core.capture.images import read_size
-from snerg.core.verbs import info
+from snerg.core.commands.bake import info
+from snerg.core.io.images import read_size
 
 DEMO = Path(__file__).resolve().parent.parent / "demo" / "run.py"
 

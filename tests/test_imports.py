@@ -10,17 +10,17 @@ ROOT = Path(__file__).parent.parent
 JAX_MODULES = {
     f"snerg.core.{name}"
     for name in (
-        "field.average",
-        "field.hierarchical",
-        "field.optimise",
-        "field.packed",
-        "field.parallel",
-        "field.train",
-        "field.trial",
-        "field.trust",
-        "grid.refine",
+        "baking.fine_tune",
         "study.study",
         "study.sweep",
+        "training.hierarchical_sampler",
+        "training.non_finite",
+        "training.occupancy_sampler",
+        "training.optimizer",
+        "training.parallel",
+        "training.trainer",
+        "training.view_dependence_test",
+        "training.weight_average",
     )
 }
 

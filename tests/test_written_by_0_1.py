@@ -10,10 +10,11 @@ import pytest
 pytest.importorskip("jax")
 
 from scenes import make_cameras
-from snerg.core import verbs
-from snerg.core.describe import any_scene, info
-from snerg.core.field.checkpoint import FILE, read_field
-from snerg.core.grid.march import march
+from snerg.core.artifact import any_scene
+from snerg.core.commands.info import info
+from snerg.core.commands.train import train_field
+from snerg.core.nerf.checkpoint import FILE, read_field
+from snerg.core.rendering.render import march
 
 WRITTEN = Path(__file__).parent / "data" / "written_by_0_1"
 SETTINGS = {  # of its fields
@@ -53,5 +54,5 @@ def test_a_training_that_was_stopped_goes_on(tmp_path):
     arrays = dict(np.load(tmp_path / "stopped" / FILE))
     about = json.loads(arrays["json"].tobytes()) | {"dataset": str((tmp_path / "dataset").resolve())}
     np.savez(tmp_path / "stopped" / FILE, **arrays | {"json": np.frombuffer(json.dumps(about).encode(), np.uint8)})
-    result = verbs.train_field(tmp_path / "dataset", tmp_path / "stopped", steps=60, values=SETTINGS)
+    result = train_field(tmp_path / "dataset", tmp_path / "stopped", steps=60, values=SETTINGS)
     assert result["resumed"] and result["steps"] == 60

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from ..errors import SnergError
-from ..grid.box import CELL_VOXELS
+from ..scene.blocks import CELL_VOXELS
 
 PLANES = 4  # Z planes a picture
 MAX_ATLAS_CELLS = 64  # along an axis: 2048 voxels, what every WebGL 2 device in use can hold

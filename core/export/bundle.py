@@ -14,15 +14,15 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..capture.camera import Camera
 from ..errors import SnergError
-from ..files import MARK, json_bytes, new_folder, one_generation, read_json
-from ..grid.snerg import Snerg
+from ..geometry.camera import Camera
+from ..io.files import MARK, json_bytes, new_folder, one_generation, read_json
 from ..progress import Progress, silent
+from ..scene.scene import Snerg
 from .codecs import CodecSettings
-from .scene import PNG, copy_scene_files, is_current, write_scene_files
+from .scene_files import PNG, copy_scene_files, is_current, write_scene_files
 
-VIEWER = Path(__file__).parent / "viewer"
+VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
 FILES_MARK = "<!-- files -->"
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from PIL import Image, features
 
-from ..capture.images import MAX_BYTES, check_size, damaged, png_bytes
 from ..errors import SnergError
-from ..guard import check_file, why
+from ..io.guard import check_file, why
+from ..io.images import MAX_BYTES, check_size, damaged, png_bytes
 
 SUFFIXES = {"png": "png", "webp": "webp", "jpeg": "jpg", "avif": "avif", "h264": "mp4"}
 LOSSLESS = ("png", "webp")

@@ -20,21 +20,21 @@ from typing import Any
 
 import numpy as np
 
-from ..about import check_about_scene
-from ..capture.camera import Camera, focal_from_angle, rigid
-from ..capture.images import png_bytes, read_image, read_size
-from ..capture.ndc import Ndc
 from ..errors import SnergError
-from ..field.networks import SHAPES, ViewNetwork
-from ..files import json_bytes, new_folder, one_generation, read_json
-from ..grid.box import CELL_VOXELS, DATA_VOXELS
-from ..grid.snerg import Snerg, blocks_of
-from ..guard import reading, why
+from ..geometry.camera import Camera, focal_from_angle, rigid
+from ..geometry.ndc import Ndc
+from ..io.about import check_about_scene
+from ..io.files import json_bytes, new_folder, one_generation, read_json
+from ..io.guard import reading, why
+from ..io.images import png_bytes, read_image, read_size
+from ..io.schema import FAR, flag, number, numbers, pose, positive, shown, whole
+from ..nerf.model import SHAPES, ViewNetwork
 from ..progress import Progress, silent
-from ..schema import FAR, flag, number, numbers, pose, positive, shown, whole
+from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
+from ..scene.scene import Snerg, blocks_of
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
 from .codecs import CodecSettings, read_picture
-from .scene import LARGEST, check_atlas, check_blocks, write_slices
+from .scene_files import LARGEST, check_atlas, check_blocks, write_slices
 
 EMPTY = 255  # an index of a block without a cell
 MAX_BLOCKS = 254  # along an axis of the grid: what a 3D texture is sure to hold (hard case 54)

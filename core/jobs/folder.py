@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SnergError
-from ..files import cannot_write, json_bytes
-from ..lock import try_lock
+from ..io.files import cannot_write, json_bytes
+from ..io.lock import try_lock
 
 VARIABLE = "SNERG_JOB"  # of the environment: a job's own folder
 JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (

@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any, Protocol, TextIO
 
 from ..errors import Cancelled, SnergError
-from ..interrupt import PATIENCE, deadline, leave
 from . import folder as folders
+from .interrupt import PATIENCE, deadline, leave
 
 EXIT_ERROR = 2
 EXIT_CANCELLED = 3

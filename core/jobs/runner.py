@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import Cancelled, SnergError
-from ..files import cannot_write
+from ..io.files import cannot_write
 from . import folder as folders
 from .protocol import GRACE_SECONDS
 

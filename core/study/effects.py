@@ -12,20 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.camera import Camera
-from ..capture.dataset import Dataset
-from ..capture.images import over, to_uint8
+from ..baking.bake import BakeSettings
+from ..baking.supersampling import GAIN
+from ..data.dataset import Dataset
 from ..export.codecs import CodecSettings
-from ..field import decide
-from ..field.backdrop import border_share
-from ..field.decide import Decision
-from ..field.field import Field
-from ..field.losses import plain_colour
-from ..field.settings import TrainSettings
-from ..grid.bake import BakeSettings
-from ..grid.samples import GAIN
-from ..grid.snerg import Snerg
+from ..geometry.camera import Camera
+from ..io.images import over, to_uint8
+from ..nerf.field import Field
 from ..progress import Progress, silent
+from ..scene.scene import Snerg
+from ..training import decisions
+from ..training.config import TrainSettings
+from ..training.decisions import Decision
+from ..training.losses import plain_colour
+from ..training.silhouette import border_share
 
 UNKNOWN = "not measured yet"
 VIEW, ALPHA, BACKDROP, NDC = "View dependence", "Alpha", "Backdrop", "NDC"  # as training calls them
@@ -84,7 +84,7 @@ class Effect:
 def of_dataset(data: Dataset, progress: Progress = silent) -> list[Effect]:
     """What a capture's images and cameras call for. Raises SnergError when an image cannot be read, Cancelled when `progress` does."""
     alpha, backdrop = _images(data, progress)
-    ndc, _ = decide.forward_facing("auto", data.cameras, data.points, data.bounds, bool(alpha.chosen))
+    ndc, _ = decisions.forward_facing("auto", data.cameras, data.points, data.bounds, bool(alpha.chosen))
     view = "Training takes the same steps with it and without it, and asks rays of views set aside which are better."
     return _rows(
         [
@@ -161,8 +161,8 @@ def _images(data: Dataset, progress: Progress) -> tuple[Decision, Decision]:
         progress((index + 1) / len(data.views), f"Reading image {index + 1} of {len(data.views)}")
     opacity = np.concatenate(alphas)
     pixels = np.broadcast_to(opacity[:, None], (len(opacity), 4))  # of which only alpha is looked at: no more memory than that
-    alpha = decide.transparency("auto", pixels, everywhere and bool((opacity < 255).any()))
-    return alpha, decide.backdrop("auto", shares, bool(alpha.chosen), TrainSettings().background)
+    alpha = decisions.transparency("auto", pixels, everywhere and bool((opacity < 255).any()))
+    return alpha, decisions.backdrop("auto", shares, bool(alpha.chosen), TrainSettings().background)
 
 
 def lens(cameras: Sequence[Camera]) -> Decision:

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..baking.bake import AUTO, VERSION, BakeSettings
 from ..errors import SnergError
 from ..export.codecs import CodecSettings
-from ..export.scene import PNG
-from ..files import json_bytes
-from ..grid.bake import AUTO, VERSION, BakeSettings
-from ..grid.march import MarchSettings
+from ..export.scene_files import PNG
+from ..io.files import json_bytes
+from ..rendering.render import MarchSettings
 
 SHARES = (0.25, 0.375, 0.5, 0.75)  # of the usual resolution, coarse first
 PAGE_STOP = 1 / 1024  # light at which a ray of the web page ends (viewer/src/march.glsl)

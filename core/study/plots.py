@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..errors import SnergError
-from .front import Row, front
 from .metrics import psnr_of
+from .pareto import Row, front
 from .plan import CODEC, RESOLUTION
 from .summary import GOOD, PREDICTED, Point, making
 

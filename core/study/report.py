@@ -13,21 +13,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..capture.images import png_bytes, read_image
-from ..files import write_bytes
-from .front import Row, front
+from ..io.files import write_bytes
+from ..io.images import png_bytes, read_image
 from .machine import machine_line
-from .paper import WHY, cell, tables
+from .paper_tables import WHY, cell, tables
+from .pareto import Row, front
 from .plan import Step
-from .plots import (
-    ablations,
-    error_against_time,
-    files,
-    needs_matplotlib,
-    predicted_and_measured,
-    rate_and_distortion,
-    waterfall,
-)
+from .plots import ablations, error_against_time, files, needs_matplotlib, predicted_and_measured, rate_and_distortion, waterfall
 from .summary import PREDICTED, Point, accuracy, difference, knobs, making, predictions, stages
 
 CROP, ZOOM = 96, 3  # pixels of a picture's crop, and how many times larger it is shown

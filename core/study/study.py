@@ -13,27 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.dataset import Dataset, DatasetOptions, read_dataset
-from ..capture.images import read_image, write_png
-from ..describe import Result, any_field, any_scene, kind_of
+from ..artifact import Result, any_field, any_scene, kind_of
+from ..baking.bake import BakeSettings
+from ..data.dataset import Dataset, DatasetOptions
+from ..data.load import read_dataset
 from ..errors import SnergError
-from ..evaluate import COLUMNS, background_of, held_out, options_of, trained
 from ..export.codecs import SUFFIXES
-from ..export.scene import write_scene
-from ..field.checkpoint import is_field
-from ..field.field import Field
-from ..field.held_out import some_views
-from ..field.settings import PRESETS
-from ..files import MARK, check_replaceable, json_bytes, read_json, write_bytes
-from ..grid.bake import BakeSettings
-from ..grid.box import Box
-from ..grid.snerg import Snerg
-from ..lock import writes_out
+from ..export.scene_files import write_scene
+from ..geometry.box import Box
+from ..io.files import MARK, check_replaceable, json_bytes, read_json, write_bytes
+from ..io.images import read_image, write_png
+from ..io.lock import writes_out
+from ..nerf.checkpoint import is_field
+from ..nerf.field import Field
 from ..progress import Progress, silent, within
-from .front import Target, choose
+from ..scene.scene import Snerg
+from ..training.config import PRESETS
+from ..training.provenance import background_of, options_of, trained
+from ..training.validation import some_views
+from .contact_sheet import contact_sheet, error_picture
+from .evaluate import COLUMNS, held_out
 from .machine import describe_machine
-from .paper import BAKED, PAPER, VARIANTS
-from .pictures import contact_sheet, error_picture
+from .paper_tables import BAKED, PAPER, VARIANTS
+from .pareto import Target, choose
 from .plan import Config, Step, StudySettings, available, steps
 from .plots import needs_matplotlib
 from .report import Findings, html, write_plots
@@ -183,7 +185,7 @@ def _subject(
 
 def _trained(source: Path, settings: StudySettings, out: Path, progress: Progress) -> dict[str, Path]:
     """Fields of some lengths of training by name, the shortest first; those that are there are not trained again."""
-    from ..field.train import train
+    from ..training.trainer import train
 
     views, folder, fields = read_dataset(source, "train", DatasetOptions(HOLDOUT)), out / "fields", {}
     longest, shares = 60 * settings.minutes * TRAINING_SHARE, TRAININGS if settings.minutes >= LONG else TRAININGS[-1:]
@@ -261,7 +263,7 @@ def fields(sweep: Sweep, deadline: float, progress: Progress) -> list[str]:
 def variants(sweep: Sweep, plan: list[Step], usual: Config, deadline: float, settings: StudySettings, progress: Progress) -> list[str]:
     """Train the fields of the paper's tables, each as long as the usual one, where there is time for it, and measure them and what is
     baked of them; their steps are added to the plan. Returns what was left out."""
-    from ..field.train import train
+    from ..training.trainer import train
 
     subject, left_out = sweep.subject, []
     about = sweep.field(usual.field).about

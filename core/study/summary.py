@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .front import Row
+from .pareto import Row
 from .plan import RESOLUTION, STAGES, WATERFALL, Step
 
 GOOD = 0.25  # a prediction within this of what then happens is a good one

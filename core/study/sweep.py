@@ -14,31 +14,32 @@ from typing import Any
 
 import numpy as np
 
-from ..capture.camera import Camera
-from ..capture.dataset import Dataset
-from ..capture.images import over, to_uint8, write_png
-from ..describe import any_field, folder_bytes
+from ..artifact import any_field
+from ..baking.bake_field import bake_field
+from ..baking.fine_tune import RefineSettings, refine
+from ..data.dataset import Dataset
 from ..errors import SnergError
-from ..evaluate import Score
-from ..export.scene import LARGEST, PNG, read_scene, write_scene
-from ..field.field import Field
-from ..field.networks import SHAPES, ViewNetwork
-from ..field.render import render_field
-from ..files import json_bytes, read_json, write_arrays, write_bytes
-from ..grid.box import Box
-from ..grid.march import Frame, march
-from ..grid.refine import RefineSettings, refine
-from ..grid.snerg import Snerg
-from ..grid.tables import tables_of
-from ..guard import read_arrays, reading
+from ..export.scene_files import LARGEST, PNG, read_scene, write_scene
+from ..geometry.box import Box
+from ..geometry.camera import Camera
+from ..io.files import folder_bytes, json_bytes, read_json, write_arrays, write_bytes
+from ..io.guard import read_arrays, reading
+from ..io.images import over, to_uint8, write_png
+from ..io.schema import number, numbers, record, text
+from ..nerf.field import Field
+from ..nerf.frame import Frame
+from ..nerf.model import SHAPES, ViewNetwork
+from ..nerf.render import render_field
 from ..progress import Progress, silent, within
-from ..schema import number, numbers, record, text
-from ..verbs import bake_field
-from .estimate import Estimate, estimate
-from .front import Row
+from ..rendering.acceleration import tables_of
+from ..rendering.render import march
+from ..scene.scene import Snerg
+from .cost_model import Estimate, estimate
+from .evaluate import Score
+from .field_probe import Survey, survey
 from .machine import watched
+from .pareto import Row
 from .plan import Config, Step
-from .survey import Survey, survey
 
 FIELD = "field"
 SMALL = 4  # times smaller, each way, is a picture that tells how long the whole takes

@@ -13,7 +13,7 @@ from mathutils import Euler, Vector
 from stage import add_camera
 
 from snerg.core.errors import SnergError
-from snerg.core.grid.box import Box
+from snerg.core.geometry.box import Box
 from snerg.snerg_addon import bridge
 from snerg.snerg_addon.capture import evaluated
 
@@ -146,7 +146,7 @@ def test_a_picture_arrives_upright_and_unchanged(scene, tmp_path):
     assert len([other for other in bpy.data.images if "SNeRG" in other.name]) == 1
     image.filepath_raw, image.file_format = str(tmp_path / "saved.png"), "PNG"
     image.save()
-    from snerg.core.capture.images import read_image, to_uint8
+    from snerg.core.io.images import read_image, to_uint8
 
     np.testing.assert_array_equal(read_image(tmp_path / "saved.png")[..., :3], to_uint8(opaque))
 

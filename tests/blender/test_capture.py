@@ -12,11 +12,11 @@ import pytest
 from mathutils import Euler
 from stage import add_camera, add_plane, contents
 
-from snerg.core.capture.dataset import read_dataset
-from snerg.core.capture.images import read_image
-from snerg.core.capture.rig import RigSettings, rig_cameras
+from snerg.core.data.load import read_dataset
+from snerg.core.data.rig import RigSettings, rig_cameras
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.grid.box import Box
+from snerg.core.geometry.box import Box
+from snerg.core.io.images import read_image
 from snerg.snerg_addon import capture
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names, unfinished, views_there

@@ -10,13 +10,16 @@ import bpy
 import numpy as np
 import pytest
 
-from snerg.core import verbs
-from snerg.core.capture.dataset import read_dataset
-from snerg.core.describe import any_scene, folder_bytes
-from snerg.core.evaluate import evaluate
-from snerg.core.field.trial import EFFECT
-from snerg.core.grid.bake import BakeSettings
-from snerg.core.grid.march import march
+from snerg.core.artifact import any_scene
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands.bake import bake_scene
+from snerg.core.commands.bundle import bundle_scene
+from snerg.core.commands.train import train_field
+from snerg.core.data.load import read_dataset
+from snerg.core.io.files import folder_bytes
+from snerg.core.rendering.render import march
+from snerg.core.study.evaluate import evaluate
+from snerg.core.training.view_dependence_test import EFFECT
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated, render_dataset
 
@@ -46,7 +49,7 @@ def rendered(out: Path, metallic: float, roughness: float, specular: float) -> P
 def trained(dataset: Path, out: Path, steps: int = STEPS, **values: str) -> str:
     """Train; returns what was decided on view dependence."""
     steadied = {"average": "0.4", **values}  # so short a training is else a matter of its seed, by 0.03 dB
-    decisions = verbs.train_field(dataset, out, steps=steps, values=steadied)["decisions"]
+    decisions = train_field(dataset, out, steps=steps, values=steadied)["decisions"]
     return next((str(d["chosen"]) for d in decisions if d["effect"] == EFFECT), "")
 
 
@@ -58,8 +61,8 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
     sizes, quality, seconds = {}, {}, {}
     for name in ("auto", "forced"):
         baked, page = tmp_path / f"{name}-scene", tmp_path / f"{name}-page"
-        verbs.bake_scene(tmp_path / name, baked, BakeSettings(resolution=320))  # so fine that refining has nothing to make up for
-        verbs.bundle_scene(baked, page)
+        bake_scene(tmp_path / name, baked, BakeSettings(resolution=320))  # so fine that refining has nothing to make up for
+        bundle_scene(baked, page)
         sizes[name], quality[name] = folder_bytes(page / "scene"), evaluate(baked, dataset)["psnr"]
         seconds[name] = frame_seconds(baked, dataset)
     files = [path.name for path in (tmp_path / "auto-page").rglob("*")]
@@ -86,7 +89,7 @@ def frame_seconds(scene: Path, dataset: Path) -> float:
 def test_a_mirror_like_scene_is_found_to_be_one(scene, tmp_path):
     dataset = rendered(tmp_path / "mirror", metallic=1.0, roughness=0.12, specular=0.5)
     assert trained(dataset, tmp_path / "auto", 2000) == "deferred"  # highlights take longer to learn than to do without
-    verbs.bake_scene(tmp_path / "auto", tmp_path / "scene", BakeSettings(resolution=96))
-    verbs.bundle_scene(tmp_path / "scene", tmp_path / "page")
+    bake_scene(tmp_path / "auto", tmp_path / "scene", BakeSettings(resolution=96))
+    bundle_scene(tmp_path / "scene", tmp_path / "page")
     assert any(path.name.startswith("feature") for path in (tmp_path / "page").rglob("*"))
     assert any_scene(tmp_path / "page").network is not None

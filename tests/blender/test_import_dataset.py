@@ -11,11 +11,12 @@ import bpy
 import numpy as np
 import pytest
 
-from snerg.core.capture.camera import Camera
-from snerg.core.capture.dataset import DatasetOptions, read_dataset
-from snerg.core.capture.distortion import Distortion
-from snerg.core.capture.images import read_image, write_png
+from snerg.core.data.dataset import DatasetOptions
+from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.distortion import Distortion
+from snerg.core.io.images import read_image, write_png
 from snerg.snerg_addon import bridge
 from snerg.snerg_addon.activity import Thought
 from snerg.snerg_addon.capture import evaluated

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from stage import add_camera, add_plane, contents
 
-from snerg.core.capture.images import read_image
 from snerg.core.errors import SnergError
+from snerg.core.io.images import read_image
 from snerg.core.jobs import folder as folders
 from snerg.core.jobs.runner import Job, job_environment
 from snerg.operators import job_runner, watch

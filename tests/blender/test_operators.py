@@ -11,8 +11,8 @@ import pytest
 from stage import add_camera, add_plane
 
 from snerg.core.cli import parser
+from snerg.core.commands.train import train_field
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.verbs import train_field
 from snerg.snerg_addon import ahead
 from snerg.snerg_addon.activity import Steps
 from snerg.snerg_addon.bridge import STUDY

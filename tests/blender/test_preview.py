@@ -11,8 +11,8 @@ from stage import add_camera
 
 from scenes import make_snerg
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.export.scene import write_scene
-from snerg.core.grid.march import march
+from snerg.core.export.scene_files import write_scene
+from snerg.core.rendering.render import march
 from snerg.operators.preview import Marching, enlarged
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import evaluated

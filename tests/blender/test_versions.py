@@ -9,7 +9,7 @@ import pytest
 from stage import contents
 
 from scenes import make_snerg
-from snerg.core.export.scene import write_scene
+from snerg.core.export.scene_files import write_scene
 from snerg.operators import bake, train
 from snerg.snerg_addon.project import Project, project_of, remember
 

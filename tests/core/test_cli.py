@@ -20,12 +20,13 @@ import pytest
 from flax_checkpoint import networks, tree, write
 from scenes import make_snerg
 from snerg.core import cli
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands.train import settings_of
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import write_scene
-from snerg.core.field.checkpoint import read_field
-from snerg.core.grid.bake import BakeSettings
-from snerg.core.grid.march import MarchSettings
+from snerg.core.export.scene_files import write_scene
 from snerg.core.jobs.runner import start_verb
+from snerg.core.nerf.checkpoint import read_field
+from snerg.core.rendering.render import MarchSettings
 
 
 @pytest.fixture(scope="module")
@@ -265,16 +266,16 @@ def test_options_reach_the_settings():
     arguments = ["train", "x", "--out", "y", "--view-dependence", "tiny", "--background", "255,128,0", "--set", "family.width=32"]
     options = cli.parser().parse_args([*arguments, "--set", "rate=0.01", "--steps", "7", "--ndc", "off", "--holdout", "5"])
     assert dict(options.set) == {"family.width": "32", "rate": "0.01"} and options.background == "#ff8000"
-    settings = cli.verbs.settings_of("fast", None, options.steps, 3, dict(options.set) | {"background": options.background})
+    settings = settings_of("fast", None, options.steps, 3, dict(options.set) | {"background": options.background})
     assert settings.family.width == 32 and settings.rate == 0.01 and settings.steps == 7 and settings.seconds is None
     assert settings.background == "#ff8000" and settings.seed == 3 and (options.holdout, options.downscale) == (5, 1)
-    assert cli.verbs.settings_of("paper", 2, None, 0, {}).seconds == 120 and cli.verbs.settings_of("paper", 2, None, 0, {}).steps is None
+    assert settings_of("paper", 2, None, 0, {}).seconds == 120 and settings_of("paper", 2, None, 0, {}).steps is None
 
 
 def test_options_reach_the_bake_and_the_march(monkeypatch):
     seen = []
     for verb in ("bake_scene", "evaluate", "render_views"):
-        monkeypatch.setattr(cli.verbs, verb, lambda *given: seen.append(given) or {})
+        monkeypatch.setattr(cli, verb, lambda *given: seen.append(given) or {})
     compared = ["--float", "--no-visibility", "--no-refine"]
     assert cli.main(["bake", "x", "--out", "y", "--voxel-size", "0.1", "--samples", "auto", *compared]) == 0
     assert cli.main(["bake", "x", "--out", "y", "--resolution", "90", "--samples", "3", "--no-network", "--codec", "jpeg"]) == 0

@@ -12,20 +12,22 @@ import pytest
 from faults import Faults
 
 from scenes import make_cameras, make_snerg
-from snerg.core import verbs
-from snerg.core.capture.readers.transforms import write_transforms
+from snerg.core.baking.resume import Kept
+from snerg.core.commands.bundle import bundle_scene
+from snerg.core.commands.export import export_reference
+from snerg.core.commands.import_artifact import import_source
+from snerg.core.data.readers.transforms import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import write_reference
-from snerg.core.export.scene import read_scene, write_scene
-from snerg.core.field.checkpoint import read_field_and_state, write_field
-from snerg.core.field.encoding import HashGrid
-from snerg.core.field.field import Field
-from snerg.core.field.log import Log, read_log
-from snerg.core.field.networks import HashFamily, init_field
-from snerg.core.field.sampling import Domain
-from snerg.core.field.training_folder import finish
-from snerg.core.files import discard, json_bytes, read_json, write_bytes
-from snerg.core.grid.kept import Kept
+from snerg.core.export.scene_files import read_scene, write_scene
+from snerg.core.io.files import discard, json_bytes, read_json, write_bytes
+from snerg.core.nerf.checkpoint import read_field_and_state, write_field
+from snerg.core.nerf.field import Field
+from snerg.core.nerf.hash_grid import HashGrid
+from snerg.core.nerf.model import HashFamily, init_field
+from snerg.core.nerf.sampling import Domain
+from snerg.core.training.log import Log, read_log
+from snerg.core.training.training_folder import finish
 
 
 @dataclass(frozen=True)
@@ -133,27 +135,27 @@ SAVES = {
     "scene": Save(lambda f: write_scene(scene(1), f / "out"), lambda f: write_scene(scene(2), f / "out"), lambda f: scene_state(f / "out")),
     "import of a scene": Save(
         with_source(write_reference, lambda f: write_scene(scene(1), f / "out")),
-        lambda f: verbs.import_source(f / "source", f / "out"),
+        lambda f: import_source(f / "source", f / "out"),
         lambda f: scene_state(f / "out"),
     ),
     "import of a field": Save(
         lambda f: (begin_training(f), write_field(field(2), f / "source")),
-        lambda f: verbs.import_source(f / "source", f / "field"),
+        lambda f: import_source(f / "source", f / "field"),
         lambda f: training_state(f / "field"),
     ),
     "export": Save(
         with_source(write_scene, lambda f: write_reference(scene(1), f / "out")),
-        lambda f: verbs.export_reference(f / "source", f / "out"),
+        lambda f: export_reference(f / "source", f / "out"),
         lambda f: read_json(f / "out" / "scene_params.json")["snerg_for_blender"]["about"]["which"],
     ),
     "page": Save(
-        with_source(write_scene, lambda f: write_scene(scene(1), f / "before") or verbs.bundle_scene(f / "before", f / "out")),
-        lambda f: verbs.bundle_scene(f / "source", f / "out"),
+        with_source(write_scene, lambda f: write_scene(scene(1), f / "before") or bundle_scene(f / "before", f / "out")),
+        lambda f: bundle_scene(f / "source", f / "out"),
         page_state,
     ),
     "page in one file": Save(
-        with_source(write_scene, lambda f: write_scene(scene(1), f / "before") or verbs.bundle_scene(f / "before", f / "out")),
-        lambda f: verbs.bundle_scene(f / "source", f / "out", single_file=True),
+        with_source(write_scene, lambda f: write_scene(scene(1), f / "before") or bundle_scene(f / "before", f / "out")),
+        lambda f: bundle_scene(f / "source", f / "out", single_file=True),
         page_state,
     ),
     "row of a study": Save(row(1), row(2), lambda f: json.loads((f / "rows" / "a.json").read_text())["psnr"]),

@@ -17,21 +17,23 @@ import numpy as np
 import pytest
 
 from scenes import make_snerg
-from snerg.core import verbs
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands.bake import bake_scene
+from snerg.core.commands.export import export_reference
+from snerg.core.commands.train import train_field
 from snerg.core.errors import SnergError
-from snerg.core.export.scene import read_scene, write_scene
-from snerg.core.field.checkpoint import flatten, read_field
-from snerg.core.field.log import read_log
-from snerg.core.files import check_replaceable
-from snerg.core.grid.bake import BakeSettings
+from snerg.core.export.scene_files import read_scene, write_scene
+from snerg.core.io.files import check_replaceable
+from snerg.core.nerf.checkpoint import flatten, read_field
+from snerg.core.training.log import read_log
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
 from snerg.core import cli
-from snerg.core.field import train
-from snerg.core.grid import kept
+from snerg.core.nerf import train
+from snerg.core.scene import kept
 train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
 class Keeper(train.Keeper):
     def __init__(self, trainer, folder, save_every):
@@ -124,13 +126,13 @@ def files_state(folder: Path) -> object:
 
 
 def train(folder: Path, dataset: Path) -> Command:
-    verbs.train_field(dataset, folder / "old", steps=6)
+    train_field(dataset, folder / "old", steps=6)
     return Command(["train", str(dataset), "--steps", "160"], "Step", field_state)
 
 
 def bake(folder: Path, dataset: Path) -> Command:
-    verbs.train_field(dataset, folder / "field", steps=12)
-    verbs.bake_scene(folder / "field", folder / "old", BakeSettings(40, samples=1), refine=False)
+    train_field(dataset, folder / "field", steps=12)
+    bake_scene(folder / "field", folder / "old", BakeSettings(40, samples=1), refine=False)
     arguments = ["bake", str(folder / "field"), "--resolution", "80", "--samples", "1", "--no-refine"]
     return Command(arguments, "%", scene_state)
 
@@ -139,7 +141,7 @@ def export(folder: Path, dataset: Path) -> Command:
     snerg = make_snerg((60, 50, 50))
     write_scene(snerg, folder / "scene")
     write_scene(replace(snerg, cells=np.zeros_like(snerg.cells)), folder / "dark")
-    verbs.export_reference(folder / "dark", folder / "old")
+    export_reference(folder / "dark", folder / "old")
     return Command(["export", str(folder / "scene")], "%", files_state)
 
 
@@ -148,7 +150,7 @@ COMMANDS = (train, bake, export)
 
 @pytest.mark.hard_case(60)
 def test_killed_a_few_times(tmp_path, dataset):
-    """The quickest of them; trainings and bakes that are killed once or twice: test_train.py, test_kept.py."""
+    """The quickest of them; trainings and bakes that are killed once or twice: test_trainer.py, test_resume.py."""
     check(export(tmp_path, dataset), tmp_path, FEW)
 
 

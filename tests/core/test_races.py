@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from scenes import make_snerg
-from snerg.core import verbs
+from snerg.core.commands.bundle import bundle_scene
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import read_reference, write_reference
-from snerg.core.export.scene import read_scene, write_scene
-from snerg.core.files import new_folder, one_generation
+from snerg.core.export.scene_files import read_scene, write_scene
+from snerg.core.io.files import new_folder, one_generation
 
 READS = 40
 REWRITE = """
@@ -51,7 +51,7 @@ def check(snerg) -> int:
 
 def bundled(scene: Path, page: Path):
     """The scene in a page that copies the files of one."""
-    verbs.bundle_scene(scene, page)
+    bundle_scene(scene, page)
     return read_scene(page / "scene")
 
 
@@ -139,7 +139,7 @@ def test_a_scene_that_becomes_another_kind_while_it_is_bundled(tmp_path, monkeyp
 
     monkeypatch.setattr(bundle, "check_shown", swapped)
     with pytest.raises(SnergError, match="another kind"):
-        verbs.bundle_scene(tmp_path / "scene", tmp_path / "page")
+        bundle_scene(tmp_path / "scene", tmp_path / "page")
     assert not (tmp_path / "page").exists()
 
 

@@ -11,7 +11,7 @@ import pytest
 from scenes import make_snerg
 from snerg.core import cli
 from snerg.core.errors import LONGEST, SnergError
-from snerg.core.export.scene import write_scene
+from snerg.core.export.scene_files import write_scene
 from snerg.core.progress import Note
 
 COMMAND = [sys.executable, "-m", "snerg.core.start"]
@@ -67,7 +67,7 @@ def test_a_path_that_the_system_refuses(verb, where, tmp_path, capfd):
         if os.name != "posix":
             pytest.skip("folders are not closed like this here")
     pytest.importorskip("jax")
-    for name in ("study.study", "field.train"):  # nobody may be shut out of the interpreter's own folder
+    for name in ("study.study", "training.trainer"):  # nobody may be shut out of the interpreter's own folder
         importlib.import_module(f"snerg.core.{name}")
     with as_nobody(tmp_path) if where == "closed" else nullcontext():
         assert cli.main(arguments) == 2

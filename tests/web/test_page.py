@@ -13,14 +13,13 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 from scenes import make_cameras, make_snerg
-from snerg.core.capture.distortion import Distortion
 from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.grid.march import march
-
-from .conftest import opened, picture
+from snerg.core.geometry.distortion import Distortion
+from snerg.core.rendering.render import march
+from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
 

@@ -22,15 +22,14 @@ from scenes import (
     random_network,
     snerg_from_volume,
 )
-from snerg.core.capture.camera import Camera
 from snerg.core.errors import SnergError
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import read_scene, write_scene
-from snerg.core.grid.march import march
-from snerg.core.grid.snerg import Snerg
-
-from .conftest import opened, picture
+from snerg.core.export.scene_files import read_scene, write_scene
+from snerg.core.geometry.camera import Camera
+from snerg.core.rendering.render import march
+from snerg.core.scene.scene import Snerg
+from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
 BLACK = (0.0, 0.0, 0.0)

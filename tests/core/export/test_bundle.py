@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from scenes import make_snerg
-from snerg.core import verbs
 from snerg.core.cli import main
+from snerg.core.commands.bundle import bundle_scene
+from snerg.core.commands.export import export_reference
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import codec_of, read_scene, scene_files, write_scene
+from snerg.core.export.scene_files import codec_of, read_scene, scene_files, write_scene
 
 
 @pytest.fixture
@@ -23,7 +24,7 @@ def stored(tmp_path):
 
 def test_pictures_are_taken_as_they_are(tmp_path, stored):
     """Encoded again, a lossy picture would lose again."""
-    result = verbs.bundle_scene(stored, tmp_path / "web")
+    result = bundle_scene(stored, tmp_path / "web")
     assert result["codec"] == "jpeg"
     names = {path.name for path in stored.iterdir()} - {".snerg", "diary.txt"}
     assert {path.name for path in (tmp_path / "web" / "scene").iterdir()} == names
@@ -32,7 +33,7 @@ def test_pictures_are_taken_as_they_are(tmp_path, stored):
 
 
 def test_another_codec(tmp_path, stored):
-    assert verbs.bundle_scene(stored, tmp_path / "web", codec=CodecSettings("webp"))["codec"] == "webp"
+    assert bundle_scene(stored, tmp_path / "web", codec=CodecSettings("webp"))["codec"] == "webp"
     assert codec_of(tmp_path / "web" / "scene") == CodecSettings("webp")
     assert np.array_equal(read_scene(tmp_path / "web" / "scene").cells, read_scene(stored).cells)
 
@@ -43,7 +44,7 @@ def test_an_older_scene_is_written_anew(tmp_path):
     value = json.loads(path.read_text())
     del value["codec"]
     path.write_text(json.dumps({**value, "version": 2}))
-    verbs.bundle_scene(tmp_path / "scene", tmp_path / "web")
+    bundle_scene(tmp_path / "scene", tmp_path / "web")
     assert json.loads((tmp_path / "web" / "scene" / "scene.json").read_text())["version"] == 3
 
 
@@ -66,7 +67,7 @@ def test_a_damaged_codec_is_told(tmp_path, stored):
     path = stored / "scene.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "codec": 5}))
     with pytest.raises(SnergError, match="no good codec"):
-        verbs.bundle_scene(stored, tmp_path / "web")
+        bundle_scene(stored, tmp_path / "web")
 
 
 @pytest.mark.parametrize("codec", ["png", "webp", "jpeg", "avif"])
@@ -81,7 +82,7 @@ def test_only_what_the_scene_names_is_published(tmp_path, codec):
     (scene / "rgba_998.png").write_text("secret")
     (scene / "alpha_007.txt").write_text("secret")
     for single in (False, True):
-        verbs.bundle_scene(scene, tmp_path / f"web {single}", single_file=single)
+        bundle_scene(scene, tmp_path / f"web {single}", single_file=single)
     assert {path.name for path in (tmp_path / "web False" / "scene").iterdir()} == names
     assert "c2VjcmV0" not in (tmp_path / "web True" / "index.html").read_text()  # "secret"
 
@@ -94,9 +95,9 @@ def test_a_link_is_not_published(tmp_path, name):
     (scene / name).rename(tmp_path / "private")
     (scene / name).symlink_to(tmp_path / "private")
     publish = (
-        lambda: verbs.bundle_scene(scene, tmp_path / "out"),
-        lambda: verbs.bundle_scene(scene, tmp_path / "out", codec=CodecSettings("webp")),
-        lambda: verbs.export_reference(scene, tmp_path / "out"),
+        lambda: bundle_scene(scene, tmp_path / "out"),
+        lambda: bundle_scene(scene, tmp_path / "out", codec=CodecSettings("webp")),
+        lambda: export_reference(scene, tmp_path / "out"),
     )
     for write in publish:
         with pytest.raises(SnergError, match=f"{name} is a link"):

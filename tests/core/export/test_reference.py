@@ -10,13 +10,13 @@ from PIL import Image
 
 from published_viewer import PublishedViewer
 from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
-from snerg.core.capture.camera import Camera, focal_from_angle
-from snerg.core.capture.images import read_image
-from snerg.core.capture.ndc import Ndc
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import OURS, read_indices, read_params, read_reference, reorient, viewer_axes, write_reference
-from snerg.core.grid.march import march
-from snerg.core.grid.snerg import Snerg
+from snerg.core.geometry.camera import Camera, focal_from_angle
+from snerg.core.geometry.ndc import Ndc
+from snerg.core.io.images import read_image
+from snerg.core.rendering.render import march
+from snerg.core.scene.scene import Snerg
 
 FOV = 35.0
 

@@ -13,18 +13,18 @@ from PIL import Image
 
 from scenes import make_forward, make_snerg
 from snerg.core import cli
-from snerg.core.capture.dataset import read_dataset
+from snerg.core.data.load import read_dataset
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.scene import write_scene
-from snerg.core.field.checkpoint import write_field
-from snerg.core.field.decide import Decision, transparency
-from snerg.core.field.encoding import HashGrid
-from snerg.core.field.field import Field
-from snerg.core.field.networks import HashFamily, ViewNetwork, init_params
-from snerg.core.field.pixels import PixelPool
-from snerg.core.field.sampling import Domain
-from snerg.core.grid.snerg import Snerg
+from snerg.core.export.scene_files import write_scene
+from snerg.core.nerf.checkpoint import write_field
+from snerg.core.nerf.field import Field
+from snerg.core.nerf.hash_grid import HashGrid
+from snerg.core.nerf.model import HashFamily, ViewNetwork, init_params
+from snerg.core.nerf.sampling import Domain
+from snerg.core.scene.scene import Snerg
 from snerg.core.study.effects import UNKNOWN, Effect, of_dataset, of_field, of_scene
+from snerg.core.training.decisions import Decision, transparency
+from snerg.core.training.ray_dataset import PixelPool
 
 GRID = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, features=2, log2_size=8), width=8)
 

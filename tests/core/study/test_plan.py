@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from snerg.core.baking.bake import BakeSettings
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.grid.bake import BakeSettings
-from snerg.core.grid.march import MarchSettings
+from snerg.core.rendering.render import MarchSettings
 from snerg.core.study.plan import RESOLUTION, STAGES, WATERFALL, Config, steps
 
 USUAL = Config(BakeSettings(resolution=64))

@@ -7,9 +7,9 @@ import pytest
 
 pytest.importorskip("jax")
 
-from snerg.core.capture.images import write_png
+from snerg.core.baking.bake import BakeSettings
 from snerg.core.errors import SnergError
-from snerg.core.grid.bake import BakeSettings
+from snerg.core.io.images import write_png
 from snerg.core.study.machine import describe_machine
 from snerg.core.study.plan import Config, steps
 from snerg.core.study.study import digest, findings, study, write

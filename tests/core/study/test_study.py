@@ -14,15 +14,17 @@ import pytest
 pytest.importorskip("jax")
 pytest.importorskip("matplotlib")
 
-from snerg.core import verbs
-from snerg.core.capture.dataset import read_dataset
-from snerg.core.capture.images import over
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands.bake import bake_scene
+from snerg.core.commands.train import train_field
+from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.export.scene import read_scene
-from snerg.core.grid.march import MarchSettings, march
-from snerg.core.study.front import Target
+from snerg.core.export.scene_files import read_scene
+from snerg.core.io.images import over
+from snerg.core.rendering.render import MarchSettings, march
 from snerg.core.study.machine import watched
 from snerg.core.study.metrics import psnr
+from snerg.core.study.pareto import Target
 from snerg.core.study.plan import StudySettings
 from snerg.core.study.study import study
 from snerg.core.study.summary import difference
@@ -34,7 +36,7 @@ SETTINGS = StudySettings(minutes=20, resolution=24, views=2)
 def field(tmp_path_factory, dataset):
     out = tmp_path_factory.mktemp("studied") / "field"
     values = {"family.grid.levels": "4", "family.grid.log2_size": "12", "samples": "4096", "view_dependence": "deferred"}
-    verbs.train_field(dataset, out, steps=120, values=values)
+    train_field(dataset, out, steps=120, values=values)
     return out
 
 
@@ -119,7 +121,7 @@ def rows_of(rows, key):
 
 
 def test_a_baked_scene_is_stored_and_marched_otherwise(studied, field, dataset, tmp_path):
-    verbs.bake_scene(field, tmp_path / "scene", verbs.BakeSettings(resolution=20), refine=False)
+    bake_scene(field, tmp_path / "scene", BakeSettings(resolution=20), refine=False)
     result = study(tmp_path / "scene", tmp_path / "out", dataset, StudySettings(minutes=10, views=1))
     value = json.loads((tmp_path / "out" / "study.json").read_text())
     assert result["left_out"] == 0 and {row["config"]["codec"]["name"] for row in value["rows"]} >= {"png", "jpeg"}
@@ -128,7 +130,7 @@ def test_a_baked_scene_is_stored_and_marched_otherwise(studied, field, dataset, 
 
 @pytest.mark.slow
 def test_the_papers_tables_have_all_their_rows(dataset, tmp_path):
-    verbs.train_field(dataset, tmp_path / "field", minutes=0.1, values={"view_dependence": "deferred"})
+    train_field(dataset, tmp_path / "field", minutes=0.1, values={"view_dependence": "deferred"})
     study(tmp_path / "field", tmp_path / "out", settings=StudySettings(minutes=6, resolution=24, views=1, paper=True))
     report = (tmp_path / "out" / "report.html").read_text()
     told = report[report.index("The paper's tables") : report.index("Every row")]

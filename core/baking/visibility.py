@@ -1,0 +1,129 @@
+"""Which voxels a camera ever sees (section 5.3): the skipping marcher, stopped where little light is left.
+
+It marches voxels of two on a side: an eighth of the work and of the memory, and still finer than the two voxels by which what
+is seen is widened. A coarse voxel stops as much light as its eight do on average, so that what lies behind a thin sheet is rather
+seen than not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from ..geometry.camera import Camera
+from ..geometry.ndc import Ndc
+from ..nerf.frame import Composited
+from ..progress import Progress
+from ..rendering.render import MarchSettings, march_rays, tiled
+from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, SLAB, fill_aprons, grow, number, pack, places_of, unpack
+from ..scene.scene import Snerg
+from ..scene.voxel_grid import Lattice
+from .occupied_voxels import Matter
+from .resume import Kept, are
+
+HALF = DATA_VOXELS // 2
+MET = 0.99  # a ray that keeps less of its light has met something
+
+
+@dataclass(frozen=True)
+class Light:
+    """What became of the light of the cameras' rays. met: rays that met something; left: the sum of what passes that; samples: that all
+    rays took."""
+
+    met: float = 0.0
+    left: float = 0.0
+    samples: float = 0.0
+
+    def and_of(self, rays: Composited, stop: float) -> Light:
+        """With more rays, which ended where less light than `stop` was left."""
+        met, passes = rays.transmittance < MET, rays.transmittance > stop
+        left = rays.transmittance[met & passes].sum(dtype=np.float64)
+        return Light(self.met + met.sum(), self.left + left, self.samples + (rays.samples or 0))
+
+    def to_json(self) -> dict[str, Any]:
+        """{"rays": that met something, "passes": the share of their light that passes it, "voxels": taken samples along, a ray, about}."""
+        rays = max(self.met, 1.0)
+        return {"rays": round(self.met), "passes": round(self.left / rays, 4), "voxels": round(2 * self.samples / rays, 1)}
+
+
+def visible_voxels(
+    matter: Matter, lattice: Lattice, ndc: Ndc | None, cameras: Sequence[Camera], threshold: float, kept: Kept, progress: Progress
+) -> tuple[np.ndarray, Light]:
+    """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them; and what
+    became of the light of all rays."""
+    scene = opacity_scene(matter, lattice.halved(), ndc)
+    visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
+    for done, arrays in kept.read("visibility"):
+        wanted = {"visited": ((-(-len(visited) // 8),), np.uint8), "light": ((3,), np.floating)}
+        if first < done <= len(cameras) and are(arrays, wanted) and np.isfinite(arrays["light"]).all():
+            first, light = done, Light(*arrays["light"].tolist())
+            visited = np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
+    settings = MarchSettings(stop_transmittance=threshold)
+    for index in range(first, len(cameras)):
+        camera, what = cameras[index], f"Visibility: camera {index + 1} of {len(cameras)}"
+
+        def tell(fraction: float, _: str, index: int = index, what: str = what) -> None:
+            progress((index + fraction) / len(cameras), what)
+
+        coarse = marching_camera(camera, scene)
+        origins, directions = coarse.rays(tiled(coarse.width, coarse.height))
+        light = light.and_of(march_rays(scene, origins, directions, settings, tell, camera.near, visited), threshold)
+        tell(1.0, "")
+        if kept.due or index + 1 == len(cameras):
+            kept.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(light))})
+            kept.flush()
+    own = visited.reshape(-1, *(CELL_VOXELS,) * 3)[:, 1:-1, 1:-1, 1:-1]
+    return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection), light
+
+
+def opacity_scene(matter: Matter, lattice: Lattice, ndc: Ndc | None) -> Snerg:
+    """A scene of opacity alone on the lattice of voxels twice as large; faint voxels stay, so that fog adds up."""
+    places = places_of(matter.indirection)
+    mask = np.zeros(lattice.blocks, bool)
+    mask[tuple((places // 2).T)] = True
+    indirection = number(mask)
+    cells = np.zeros((int(mask.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
+    for octant, rows in octants(places):
+        part = tuple(slice(1 + HALF * o, 1 + HALF * (o + 1)) for o in octant)
+        cells[(indirection[tuple((places[rows] // 2).T)], *part, 3)] = matter.coarse[rows]
+    for _ in fill_aprons(cells, indirection):
+        pass
+    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, None, ndc=ndc)
+
+
+def refined(bits: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """A mask of coarse voxels [Mc, 30, 30] as one of the voxels twice as fine [M, 30, 30]; coarse, fine: their indirection grids."""
+    places = places_of(fine)
+    result = np.zeros((len(places), DATA_VOXELS, DATA_VOXELS), np.uint32)
+    for octant, rows in octants(places):
+        part = tuple(slice(HALF * o, HALF * (o + 1)) for o in octant)
+        for start in range(0, len(rows), SLAB):
+            some = rows[start : start + SLAB]
+            own = unpack(bits[coarse[tuple((places[some] // 2).T)]])[(slice(None), *part)]
+            result[some] = pack(own.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3))
+    return result
+
+
+def octants(places: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """Each octant (0 or 1 an axis) of a block of coarse voxels, and which blocks at places [M, 3] of fine ones fill it."""
+    return [(octant, np.flatnonzero((places % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
+
+
+def marching_camera(camera: Camera, scene: Snerg) -> Camera:
+    """The camera with pixels of about two voxels at the middle of the scene, at most as many as it has."""
+    scale = min(1.0, 0.5 / (pixels_a_unit(camera, scene) * scene.voxel_size))
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def pixels_a_unit(camera: Camera, scene: Snerg) -> float:
+    """Pixels of a camera that a length of 1 of the scene's space covers, about the middle of the scene."""
+    if camera.projection == "orthographic":
+        return max(camera.focal)
+    if scene.ndc is not None:  # as many at any depth for a camera where the frame is, about as many for its neighbours
+        return max(mine / frame for mine, frame in zip(camera.focal, scene.ndc.focal, strict=True))
+    box = scene.box
+    return max(camera.focal) / max(float(np.linalg.norm(camera.position - box.box_to_world[:3, 3])), float(box.size.max()) / 4)

@@ -1,1 +1,0 @@
-"""Photographs and cameras: what a field is trained on."""

@@ -1,1 +1,0 @@
-"""One module for each way that other tools write cameras."""

@@ -1,0 +1,78 @@
+"""`snerg bake`: a field inside a box to a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..artifact import Result
+from ..baking.bake import BakeSettings, check_lengths
+from ..data.dataset import Dataset
+from ..data.load import read_dataset
+from ..errors import SnergError
+from ..export.codecs import CodecSettings
+from ..export.scene_files import PNG, check_storable, write_scene
+from ..geometry.box import Box
+from ..io.files import discard
+from ..io.lock import writes_out
+from ..nerf.checkpoint import read_field
+from ..progress import Progress, silent, within
+from ..training.provenance import options_of, trained
+from .info import info
+
+if TYPE_CHECKING:
+    from ..nerf.field import Field
+from ..baking.bake_field import bake_field
+from .check_out import check_out
+
+DEFAULT_BAKE = BakeSettings()
+
+
+@writes_out("a bake")
+def bake_scene(
+    field: Path,
+    out: Path,
+    settings: BakeSettings = DEFAULT_BAKE,
+    box: Path | None = None,
+    refine: bool = True,
+    progress: Progress = silent,
+    codec: CodecSettings = PNG,
+) -> Result:
+    """Bake a field inside a box into a scene (JAX), then refine its view-dependence network on the training images.
+
+    box: a JSON file (see Box.from_json); all that the field holds when None. Raises SnergError on bad input, and for settings
+    that change nothing in this field; Cancelled when `progress` does. Then `out` is as it was, and what is finished lies in a
+    folder beside it (.NAME.bake), from which the same bake goes on when it is started again.
+    """
+    check_out(out, "scene", field)
+    check_storable(settings.quantise, codec)
+    source = read_field(field)
+    _check_settings(settings, source)
+    volume = Box.read(box) if box is not None else source.domain.world_box()
+    dataset = _images_to_refine_on(source) if refine and settings.network else None
+    unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
+    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished)
+    write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
+    discard(unfinished)
+    about = snerg.about
+    result = {"seconds": seconds, "refined": "psnr_after" in about.get("refine", {}), **info(out)}
+    return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
+
+
+def _check_settings(settings: BakeSettings, field: Field) -> None:
+    check_lengths(settings, field)
+    if not settings.network and field.network is None:
+        raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
+    if not settings.visibility and not field.cameras:
+        raise SnergError("The field knows no cameras, so that all of it is kept in any case; bake it without --no-visibility.")
+
+
+def _images_to_refine_on(field: Field) -> Dataset | None:
+    """The images that the field was trained on, or None where there is nothing to refine or it was imported."""
+    if field.network is None or not field.dataset:
+        return None
+    if not Path(field.dataset).exists():
+        raise SnergError(
+            f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
+        )
+    return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))

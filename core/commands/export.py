@@ -1,0 +1,35 @@
+"""`snerg export`: a scene in the published layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..artifact import Result, any_scene
+from ..export.reference import write_reference
+from ..export.scene_files import is_scene, scene_files
+from ..io.files import one_generation
+from ..io.lock import writes_out
+from ..progress import Progress, silent
+from ..scene.scene import Snerg
+from .check_out import check_out
+from .info import info
+
+
+@writes_out("an export")
+def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Result:
+    """Write a scene in the reference PNG layout, which the published viewer opens."""
+    check_out(out, "reference scene", scene)
+    write_reference(published(scene), out, None, progress)
+    return {"out": str(out), **info(out)}
+
+
+def published(scene: Path) -> Snerg:
+    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+
+    def read() -> Snerg:
+        for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
+            if is_scene(folder):
+                scene_files(folder)
+        return any_scene(scene)
+
+    return one_generation(scene, read)

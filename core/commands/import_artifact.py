@@ -1,0 +1,35 @@
+"""`snerg import`: a field, a checkpoint or a scene from elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..artifact import Result, any_field, any_scene, kind_of
+from ..errors import SnergError
+from ..export.scene_files import write_scene
+from ..io.files import new_folder
+from ..io.lock import writes_out
+from ..nerf.checkpoint import write_field
+from ..progress import Progress, silent, within
+from .check_out import check_out
+from .info import info
+
+
+@writes_out("an import")
+def import_source(source: Path, out: Path, progress: Progress = silent) -> Result:
+    """Bring in a field (ours, or a reference checkpoint) or a baked scene (ours, or in the reference layout).
+
+    Raises SnergError when `source` is neither, or damaged.
+    """
+    kind = kind_of(source)
+    check_out(out, {"reference scene": "scene", "page": "scene", "checkpoint": "field"}.get(kind, kind), source)
+    if kind in ("scene", "page", "reference scene"):
+        write_scene(any_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
+    elif kind in ("field", "checkpoint"):
+        field = any_field(source)
+        with new_folder(out) as folder:  # so that the log of a training that was there before goes with its field
+            write_field(field, folder)
+    else:
+        raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")
+    progress(1.0, "Imported")
+    return {"imported": kind, "to": str(out), **info(out)}

@@ -1,0 +1,138 @@
+"""`snerg info`: what there is to say of what lies at a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..artifact import Result, any_field, kind_of
+from ..data.load import read_dataset
+from ..export.reference import read_params, read_reference
+from ..export.scene_files import codec_of, is_scene, read_scene
+from ..geometry.camera import Camera
+from ..io.files import folder_bytes, one_generation, read_json
+from ..io.guard import reading
+from ..io.schema import record
+from ..nerf.field import Field
+from ..progress import Progress, silent
+from ..scene.scene import Snerg
+from ..training.decisions import forward_facing
+from ..training.training_folder import trainings_beside
+
+
+def info(path: Path, progress: Progress = silent) -> Result:
+    """What a dataset, field, checkpoint or scene is: its sizes, blocks, megabytes and the effects that it carries.
+
+    Raises SnergError when it is none of these.
+    """
+    return one_generation(path, lambda: _info(path))
+
+
+def _info(path: Path) -> Result:
+    kind = kind_of(path)
+    about = {
+        "dataset": _dataset_info,
+        "field": lambda p: _field_info(any_field(p)) | _unfinished(p),
+        "checkpoint": lambda p: _field_info(any_field(p)),
+        "scene": _stored_info,
+        "reference scene": _reference_info,
+        "page": _page_info,
+    }[kind](path)
+    return {"kind": kind, "path": str(path), **about, "megabytes": round(folder_bytes(path) / 1e6, 3)}
+
+
+def _dataset_info(path: Path) -> Result:
+    train = read_dataset(path, "train")
+    opened = [train, *(read_dataset(path, split) for split in train.splits() if split != "train")]
+    cameras = [camera for part in opened for camera in part.cameras]
+    transparent = has_alpha(train.read(0))
+    decision, _ = forward_facing("auto", train.cameras, train.points, train.bounds, transparent)
+    box = train.suggested_box()
+    lenses = sorted({camera.distortion.model for camera in cameras if camera.distortion})
+    return {
+        "source": train.kind,
+        "splits": {part.split: len(part.views) for part in opened},
+        "views": len(cameras),
+        "sizes": [list(size) for size in sorted({(camera.width, camera.height) for camera in cameras})],
+        "alpha": transparent,
+        "masks": sum(view.mask is not None for part in opened for view in part.views),
+        "distortion": lenses,
+        "points": 0 if train.points is None else len(train.points),
+        "bounds": None if train.bounds is None else [float(train.bounds[:, 0].min()), float(train.bounds[:, 1].max())],
+        "box": train.box.to_json() if train.box else None,
+        "suggested_box": box.to_json(),
+        "suggested_size": [round(float(side), 4) for side in box.size],
+        "forward_facing": decision.chosen,
+        "evidence": decision.evidence,
+        "without_image": train.passed_over,
+    }
+
+
+def has_alpha(image: np.ndarray) -> bool:
+    """Whether a picture [H, W, 3 or 4] uint8 is transparent anywhere."""
+    return image.shape[-1] == 4 and bool((image[..., 3] < 255).any())
+
+
+def _field_info(field: Field) -> Result:
+    box = field.domain.world_box()
+    return {
+        "family": type(field.family).__name__,
+        "views": len(field.cameras),
+        "dataset": field.dataset,
+        "steps": field.about.get("steps"),
+        "seconds": field.about.get("seconds"),
+        "box": box.to_json(),
+        "view_dependence": field.view,
+        "ndc": field.ndc is not None,
+        "decisions": field.about.get("decisions", []),
+        "effects": {"view_dependence": field.view != "diffuse"},
+    }
+
+
+def _unfinished(path: Path) -> Result:
+    """The trainings that are to take a field's place (see training_folder), where there are some."""
+    found = trainings_beside(path)
+    return {"unfinished_trainings": found} if found else {}
+
+
+def _stored_info(path: Path) -> Result:
+    snerg = read_scene(path)
+    codec = codec_of(path)
+    quality = "" if codec.lossless else f", quality {codec.quality}"
+    return {"codec": codec.name + quality if snerg.quantised else "float", **_scene_info(snerg)}
+
+
+def _scene_info(snerg: Snerg) -> Result:
+    return {
+        "voxels": list(snerg.shape),
+        "voxel_size": float(snerg.voxel_size),
+        "blocks": len(snerg.cells),
+        "blocks_in_grid": int(snerg.indirection.size),
+        "memory_megabytes": round(snerg.cells.nbytes / 1e6, 3),
+        "box": snerg.box.to_json(),
+        "effects": snerg.effects,
+        "about": snerg.about,
+    }
+
+
+def _reference_info(path: Path) -> Result:
+    params = read_params(path)
+    return {"atlas_cells": list(params.atlas), **_scene_info(read_reference(path))}
+
+
+def _page_info(path: Path) -> Result:
+    if not is_scene(path / "scene"):
+        return {"single_file": True}
+    return {
+        "single_file": False,
+        "cameras": [camera.name for camera in page_cameras(path / "cameras.json")],
+        **_stored_info(path / "scene"),
+    }
+
+
+def page_cameras(path: Path) -> tuple[Camera, ...]:
+    """The cameras that a web page lists. Raises SnergError when the file is damaged."""
+    value = read_json(path)
+    with reading(path, "write the page again"):
+        return tuple(Camera.from_json(camera) for camera in record(value, "the file")["cameras"])

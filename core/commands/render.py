@@ -1,0 +1,75 @@
+"""`snerg render`: a scene from cameras to pictures."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..artifact import Result
+from ..data.readers.transforms import read_cameras
+from ..geometry.camera import Camera
+from ..io.files import new_folder
+from ..io.images import png_bytes, to_uint8
+from ..io.lock import writes_out
+from ..progress import Progress, silent, within
+from ..rendering.render import MarchSettings, march
+from ..study.evaluate import ready_scene
+from .check_out import check_out
+
+DEFAULT_MARCH = MarchSettings()
+
+
+@writes_out("a rendering")
+def render_views(
+    scene: Path,
+    cameras: Path,
+    out: Path,
+    width: int | None = None,
+    height: int | None = None,
+    progress: Progress = silent,
+    settings: MarchSettings = DEFAULT_MARCH,
+) -> Result:
+    """March a scene from each camera of a transforms file into PNGs with straight alpha, one a camera.
+
+    width, height: pixels, in place of the cameras' own; with one of them the other keeps the shape. Raises SnergError on
+    bad input, Cancelled when `progress` does; then `out` is as it was.
+    """
+    check_out(out, "pictures", scene, cameras)
+    views = [resized(camera, width, height) for camera in read_cameras(cameras)]
+    snerg = ready_scene(scene, settings)
+    names = file_names([camera.name for camera in views])
+    began = time.perf_counter()
+    with new_folder(out) as folder:
+        for index, (camera, name) in enumerate(zip(views, names, strict=True)):
+            part = within(progress, index / len(views), (index + 1) / len(views))
+            frame = march(snerg, camera, settings, part)
+            (folder / f"{name}.png").write_bytes(png_bytes(to_uint8(frame.straight())))
+            part(1.0, f"View {index + 1} of {len(views)}")
+    seconds = time.perf_counter() - began
+    return {
+        "out": str(out),
+        "views": len(views),
+        "files": [f"{name}.png" for name in names],
+        "seconds_per_view": round(seconds / len(views), 4),
+    }
+
+
+def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
+    """The camera at another size in pixels; one side alone keeps the shape."""
+    if width is None and height is None:
+        return camera
+    if height is None:
+        height = max(1, round(camera.height * (width or 1) / camera.width))
+    if width is None:
+        width = max(1, round(camera.width * height / camera.height))
+    return camera.resized(width, height)
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """A plain file name a camera, numbered where they would collide."""
+    plain = [re.sub(r"[^\w.-]+", "_", name).strip("._") for name in names]
+    if all(plain) and len({name.lower() for name in plain}) == len(plain):
+        return plain
+    return [f"{index:03d}_{name}".rstrip("_") for index, name in enumerate(plain)]

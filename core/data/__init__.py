@@ -1,0 +1,1 @@
+"""Datasets: views with their cameras, and the readers of captures."""

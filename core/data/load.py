@@ -1,0 +1,86 @@
+"""Opening a dataset: finding the reader that knows it, its splits, and its world set upright."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import SnergError
+from ..io.guard import reading
+from .dataset import HELD_OUT, Dataset, DatasetOptions, Source
+from .orient import orient
+from .readers import colmap, llff, transforms
+
+DEFAULT_OPTIONS = DatasetOptions()
+
+
+def read_dataset(path: Path, split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
+    """Open a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
+
+    Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.
+    """
+    with reading(Path(path), "write it again", f"The dataset {path}"):
+        return _read_dataset(Path(path), split, options)
+
+
+def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
+    source = read_source(path, split, options)
+    chosen, names = _split(source, split, options)
+    if split == "train" and len(chosen) < 2:
+        raise SnergError(f"The dataset {path} has {len(chosen)} image to train on; a scene needs several, from different places.")
+    if source.photographs:
+        source, similarity = orient(source)
+    else:
+        similarity = np.eye(4)
+    views = []
+    for view in (source.views[i] for i in chosen):
+        views.append(replace(view, camera=view.camera.reduced(source.factor), factor=source.factor))
+    bounds = source.bounds[chosen] if source.bounds is not None else None
+    return Dataset(
+        root=source.root,
+        split=split,
+        views=tuple(views),
+        box=source.box,
+        points=source.points,
+        colours=source.colours,
+        bounds=bounds,
+        source_to_world=similarity,
+        options=options,
+        kind=source.kind,
+        split_names=names,
+        passed_over=source.passed_over,
+    )
+
+
+def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
+    """Whatever is at `path`, read by the reader that knows it. Raises SnergError as `read_dataset` does."""
+
+    if not path.exists():
+        raise SnergError(f"The dataset {path} does not exist; check the path.")
+    if transforms.is_transforms(path):
+        return transforms.read_transforms(path, split, options)
+    if llff.is_llff(path):
+        return llff.read_llff(path, options)
+    if colmap.is_colmap(path):
+        return colmap.read_colmap(path, options)
+    raise SnergError(
+        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
+    )
+
+
+def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
+    """The numbers of a split's views, and the names of all splits. Raises SnergError that lists the splits there are."""
+    everything = range(len(source.views))
+    if source.splits is not None:
+        splits, names = source.splits, source.names or tuple(source.splits)
+    elif options.holdout and len(source.views) > 2:
+        held = [i for i in everything if i % options.holdout == 0]
+        kept = [i for i in everything if i % options.holdout]
+        splits, names = {"train": kept, **dict.fromkeys(HELD_OUT, held)}, ("train", "val")
+    else:
+        splits, names = {"train": list(everything)}, ("train",)
+    if not splits.get(split):
+        raise SnergError(f"The dataset {source.root} has no split {split!r}; it has the splits {', '.join(sorted(names))}.")
+    return splits[split], tuple(sorted(names, key=lambda n: n != "train"))

@@ -1,0 +1,135 @@
+"""Photographs have no up and no scale: setting them upright, near the origin, at a size that can be worked with in Blender."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import SnergError
+from ..geometry.box import Box
+from ..geometry.camera import Camera
+from .dataset import Source, focus
+
+DISTANCE = 4.0  # world units from the cameras to what they look at, as in NeRF-synthetic
+FARTHEST = 2 * DISTANCE  # what lies farther than this from there along an axis is not in the box
+OUTLIERS = (2.0, 98.0)  # percentiles of the points' coordinates that the box spans
+MARGIN = 0.05  # of that span, added on each side
+FORWARD = 0.9  # length of the mean of unit view directions above which cameras look the same way
+AGREE = 0.5  # length of the mean of unit up directions below which they say nothing
+
+
+def orient(source: Source) -> tuple[Source, np.ndarray]:
+    """The source in a world whose z is up and whose origin is what the cameras look at, with a box, and the similarity
+    [4, 4] that maps the old world to it.
+
+    The mean direction of view is +y, or the first camera's where the cameras stand all round. Raises SnergError when all
+    photographs were taken from one place.
+    """
+    cameras = tuple(view.camera for view in source.views)
+    centre = looked_at(cameras, source.points, source.bounds)
+    positions = np.stack([c.position for c in cameras])
+    distance = float(np.median(np.linalg.norm(positions - centre, axis=-1)))
+    spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=-1).max())
+    if not (np.isfinite(centre).all() and spread > 1e-9 * max(distance, 1e-9) and distance > 0):
+        raise SnergError(f"All photographs of {source.root} were taken from one place; depth needs several places.")
+    rotation = upright(upward(cameras), np.stack([-c.camera_to_world[:3, 2] for c in cameras]))
+    similarity = np.eye(4)
+    similarity[:3, :3] = rotation * (DISTANCE / distance)
+    similarity[:3, 3] = -similarity[:3, :3] @ centre
+    scale = DISTANCE / distance
+    moved = replace(
+        source,
+        views=tuple(replace(view, camera=view.camera.moved(similarity)) for view in source.views),
+        points=None if source.points is None else source.points @ similarity[:3, :3].T + similarity[:3, 3],
+        bounds=None if source.bounds is None else source.bounds * scale,
+    )
+    return replace(moved, box=box_of(moved, similarity[:3, 3], scale)), similarity
+
+
+def upward(cameras: Sequence[Camera]) -> np.ndarray:
+    """Where up is, unit [3].
+
+    People hold cameras level: up is what all pictures' horizontals are square to, on the side of the pictures' own mean up.
+    The mean alone would lean towards a capture's side where it does not go all round. Horizontals that are all alike leave the
+    mean; where the pictures do not agree on an up, it is the direction in which the cameras' positions spread least, on the
+    side from which they look down.
+    """
+    right, ups, back = (np.stack([c.camera_to_world[:3, i] for c in cameras]) for i in range(3))
+    mean = ups.mean(axis=0)
+    if np.linalg.norm(mean) < AGREE:
+        positions = np.stack([c.position for c in cameras])
+        flat = np.linalg.eigh(np.cov(positions.T))[1][:, 0]
+        side = flat @ back.mean(axis=0) or flat @ mean
+        return flat if side >= 0 else -flat
+    mean /= np.linalg.norm(mean)
+    weights, up = np.ones(len(right)), mean
+    for _ in range(10):  # reweighted, so that a few pictures that were turned do not count
+        spread, axes = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
+        if spread[1] < 0.05:
+            return mean
+        up = axes[:, 0] * (1 if axes[:, 0] @ mean >= 0 else -1)
+        weights = 1 / (np.abs(right @ up) + 0.05)
+    return up if up @ mean > 0.6 else mean
+
+
+def upright(up: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """[3, 3] rotation that takes `up` to z, and the mean of the view directions `axes` [N, 3] to +y as far as it is level."""
+    level = axes - np.outer(axes @ up, up)
+    mean = level.mean(axis=0)
+    ahead = mean if np.linalg.norm(mean) > 0.3 else level[np.argmax(np.linalg.norm(level, axis=-1) > 0.3)]
+    if np.linalg.norm(ahead) < 1e-3:  # straight down
+        ahead = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    ahead = ahead - (ahead @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    return np.stack([np.cross(ahead, up), ahead, up])
+
+
+def looked_at(cameras: tuple[Camera, ...], points: np.ndarray | None, bounds: np.ndarray | None) -> np.ndarray:
+    """The point [3] that the capture is about: where the axes meet, or for cameras that look the same way, in front of them in
+    the depth that most of the points have, or that halves the range of disparity."""
+    axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
+    mean = axes.mean(axis=0)
+    if np.linalg.norm(mean) < FORWARD or (points is None and bounds is None):
+        return focus(cameras)[0]
+    mean /= np.linalg.norm(mean)
+    position = np.mean([c.position for c in cameras], axis=0)
+    if points is not None and ((points - position) @ mean > 0).any():
+        depth = (points - position) @ mean
+        return position + mean * np.median(depth[depth > 0])
+    if bounds is None:
+        return focus(cameras)[0]
+    near, far = np.median(bounds, axis=0)
+    return position + mean * (2 / (1 / near + 1 / far))
+
+
+def box_of(source: Source, origin: np.ndarray, scale: float) -> Box:
+    """The box of what must be explained, world axes.
+
+    From the cube that instant-ngp was told of, else from the points without outliers, else from the views between their nearest
+    and farthest depth; without any of these a cube that holds the cameras. Nothing beyond FARTHEST from the origin is in it,
+    but for the first.
+    """
+    if source.half is not None:
+        return Box.axis_aligned(origin - source.half * scale, origin + source.half * scale)
+    cameras = [view.camera for view in source.views]
+    if source.points is not None and len(source.points) >= 10:
+        low, high = np.percentile(source.points.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
+    elif source.bounds is not None:
+        corners = np.concatenate([frustum(c, *b) for c, b in zip(cameras, source.bounds, strict=True)])
+        low, high = np.percentile(corners.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
+    else:
+        reach = 1.5 * float(np.percentile([np.linalg.norm(c.position) for c in cameras], 90))
+        half = np.full(3, min(reach, FARTHEST))
+        return Box.axis_aligned(-half, half)
+    grow = np.maximum(MARGIN * (high - low), 0.02 * (high - low).max() + 1e-6)
+    return Box.axis_aligned(low - grow, high + grow)
+
+
+def frustum(camera: Camera, near: float, far: float) -> np.ndarray:
+    """[8, 3] the corners of what a camera sees between two depths."""
+    edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
+    origins, directions = camera.rays(edge)
+    along = directions @ -camera.camera_to_world[:3, 2]
+    return np.concatenate([origins + directions * (depth / along)[:, None] for depth in (near, far)])

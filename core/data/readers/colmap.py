@@ -1,0 +1,345 @@
+"""COLMAP's sparse models, as text and as binary files, beside the images that they were made from."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ...errors import SnergError
+from ...geometry.camera import Camera
+from ...geometry.distortion import Distortion
+from ...io.files import inside
+from ...io.guard import check_file, reading
+from ...io.images import read_size
+from ...io.schema import FAR
+from ..dataset import DatasetOptions, Source, View
+from ..image_resolver import find_image, image_folder, scaled_to
+
+MODELS = {  # COLMAP's numbers: (name, how many parameters)
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}
+COUNTS = {name: count for name, count in MODELS.values()}
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
+FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")
+MAX_BYTES = 2**32
+MAX_NAME = 4096
+NOISE = (0.1, 99.9)  # percentiles of a view's depths that count as its nearest and farthest, as LLFF takes them
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """One of a model's cameras."""
+
+    width: int
+    height: int
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    distortion: Distortion | None
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One of a model's images. world_to_camera: [3, 4], OpenCV axes. seen: [N] int64, the numbers of the points in it."""
+
+    name: str
+    lens: int
+    world_to_camera: np.ndarray
+    seen: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """numbers [N] int64 ascending, points [N, 3] float64, colours [N, 3] uint8."""
+
+    numbers: np.ndarray
+    points: np.ndarray
+    colours: np.ndarray
+
+
+def is_colmap(path: Path) -> bool:
+    """Whether `read_colmap` is the reader for this folder."""
+    return path.is_dir() and _model_folder(path) is not None
+
+
+def read_colmap(path: Path, options: DatasetOptions) -> Source:
+    """Cameras with their lenses, poses, points and their colours; images by name from `images` or images_<n>.
+
+    `path`: the folder that holds sparse/0 and images, or the model's own folder with images beside or above it. Masks lie as
+    COLMAP wants them, masks/<image name>.png. Views come sorted by name. Raises SnergError when a file is damaged, a lens is not
+    supported or an image is missing.
+    """
+    folder = _model_folder(path)
+    if folder is None:
+        raise SnergError(f"{path} has no COLMAP model (cameras.bin and images.bin, or .txt); check the path.")
+    root = _root(path)
+    lenses, shots, points = read_model(folder)
+    if not shots:
+        raise SnergError(f"The COLMAP model {folder} has no images; a dataset needs images with their cameras.")
+    shots.sort(key=lambda shot: shot.name)
+    pictures, factor = image_folder(root, options.downscale, f"The COLMAP model {folder}")
+    found = [find_image(pictures, shot.name, str(folder)) or _with_other_suffix(pictures, shot.name, folder) for shot in shots]
+    missing = [shot.name for shot, image in zip(shots, found, strict=True) if image is None]
+    if missing:
+        raise SnergError(
+            f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
+        )
+    views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
+    source = Source(root, "colmap", views, photographs=True, factor=factor)
+    if not len(points.points):
+        return source
+    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
+
+
+T = TypeVar("T")
+
+
+def read_model(folder: Path) -> tuple[dict[int, Lens], list[Shot], Points]:
+    """The files of a model, binary where there are both; it may lack points. Raises SnergError when one is damaged or missing."""
+    binary = (folder / "cameras.bin").is_file()
+    suffix = ".bin" if binary else ".txt"
+    lenses = _read(folder / f"cameras{suffix}", binary_lenses if binary else text_lenses)
+    shots = _read(folder / f"images{suffix}", binary_shots if binary else text_shots)
+    file = folder / f"points3D{suffix}"
+    points = _read(file, binary_points if binary else text_points) if file.is_file() else _points([])
+    for shot in shots:
+        if shot.lens not in lenses:
+            raise SnergError(f"{folder}: the image {shot.name} has camera {shot.lens}, which the model does not have.")
+    return lenses, shots, points
+
+
+def _read(path: Path, reader: Callable[[Path], T]) -> T:
+    folder = path.parent
+    file = inside(folder, path.name, str(folder))
+    if not file.is_file():
+        raise SnergError(f"The COLMAP model {folder} has no {file.name}; export the model again.")
+    check_file(file, MAX_BYTES)
+    with reading(file, "export the model again"):
+        return reader(file)
+
+
+def lens_of(model: str, width: int, height: int, values: list[float], where: str) -> Lens:
+    """A camera from COLMAP's parameters. Raises SnergError that names a model which is not supported."""
+    if model not in COUNTS or model in OTHERS:
+        raise SnergError(f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first.")
+    if len(values) != COUNTS[model]:
+        raise SnergError(f"{where} gives {len(values)} parameters for the lens model {model}, which has {COUNTS[model]}.")
+    if model in ONE_FOCAL:
+        values = [values[0], *values]
+    fx, fy, cx, cy, *bent = values
+    distortion = None
+    if "FISHEYE" in model:
+        distortion = Distortion("fisheye", tuple(bent))
+    elif any(bent):
+        distortion = Distortion("opencv", tuple(bent))
+    return Lens(width, height, (fx, fy), (cx, cy), distortion)
+
+
+class Bytes:
+    """Little-endian values off a file, none of them read past its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.data, self.at = path.read_bytes(), 0
+
+    def take(self, layout: str) -> tuple:
+        """The next values, as struct.unpack has them."""
+        values = struct.unpack_from("<" + layout, self.data, self.at)
+        self.at += struct.calcsize("<" + layout)
+        return values
+
+    def count(self, least: int) -> int:
+        """A number of records of at least `least` bytes each. Raises ValueError where the file cannot hold so many."""
+        (count,) = self.take("Q")
+        if count * least > len(self.data) - self.at:
+            raise ValueError(f"it says that {count} records follow, more than its size allows")
+        return int(count)
+
+    def array(self, kind: np.dtype, count: int) -> np.ndarray:
+        """The next `count` records."""
+        found = np.frombuffer(self.data, kind, count, self.at)
+        self.at += count * kind.itemsize
+        return found
+
+    def text(self) -> str:
+        """Up to the next zero byte."""
+        end = self.data.index(b"\0", self.at, self.at + MAX_NAME)
+        found = self.data[self.at : end].decode("utf-8")
+        self.at = end + 1
+        return found
+
+
+def binary_lenses(path: Path) -> dict[int, Lens]:
+    """cameras.bin"""
+    file = Bytes(path)
+    lenses = {}
+    for _ in range(file.count(24)):
+        number, model, width, height = file.take("IiQQ")
+        name, count = MODELS.get(model, (f"number {model}", 0))
+        lenses[number] = lens_of(name, width, height, list(file.take(f"{count}d")), f"{path}, camera {number},")
+    return lenses
+
+
+SEEN = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
+
+
+def binary_shots(path: Path) -> list[Shot]:
+    """images.bin"""
+    file = Bytes(path)
+    shots = []
+    for _ in range(file.count(64 + 1 + 8)):
+        _, *pose, lens = file.take("I7dI")
+        name = file.text()
+        seen = file.array(SEEN, file.count(SEEN.itemsize))["point"]
+        shots.append(Shot(name, lens, world_to_camera(pose, f"{path}, image {name}"), seen[seen >= 0]))
+    return shots
+
+
+def binary_points(path: Path) -> Points:
+    """points3D.bin"""
+    file = Bytes(path)
+    rows = []
+    for _ in range(file.count(51)):
+        number, x, y, z, red, green, blue, _ = file.take("Q3d3Bd")
+        seen_by = file.count(8)
+        file.at += 8 * seen_by
+        rows.append((number, x, y, z, red, green, blue))
+    return _points(rows)
+
+
+def _lines(path: Path) -> Iterator[str]:
+    with open(path, encoding="utf-8") as file:
+        for line in file:
+            if not line.startswith("#"):
+                yield line.rstrip("\r\n")
+
+
+def text_lenses(path: Path) -> dict[int, Lens]:
+    """cameras.txt"""
+    lenses = {}
+    for line in _lines(path):
+        if line.strip():
+            number, model, width, height, *values = line.split()
+            where = f"{path}, camera {number},"
+            lenses[int(number)] = lens_of(model, int(width), int(height), [float(v) for v in values], where)
+    return lenses
+
+
+def text_shots(path: Path) -> list[Shot]:
+    """images.txt: two lines an image, the second of which may be empty."""
+    shots = []
+    lines = _lines(path)
+    for line in lines:
+        if not line.strip():
+            continue
+        _, *pose, lens, name = line.strip().split(maxsplit=9)
+        tracks = next(lines, "").split()
+        seen = np.array(tracks[2::3], np.int64)
+        shots.append(Shot(name, int(lens), world_to_camera([float(v) for v in pose], f"{path}, image {name}"), seen[seen >= 0]))
+    return shots
+
+
+def text_points(path: Path) -> Points:
+    """points3D.txt"""
+    rows = []
+    for line in _lines(path):
+        if line.strip():
+            number, x, y, z, *colour = line.split(maxsplit=7)[:7]
+            rows.append((int(number), float(x), float(y), float(z), *(int(c) for c in colour)))
+    return _points(rows)
+
+
+def _points(rows: list[tuple]) -> Points:
+    rows = sorted(row for row in rows if (np.abs(row[1:4]) <= FAR).all())
+    return Points(
+        np.array([row[0] for row in rows], np.int64),
+        np.array([row[1:4] for row in rows], np.float64).reshape(-1, 3),
+        np.array([row[4:7] for row in rows], np.int64).reshape(-1, 3).clip(0, 255).astype(np.uint8),
+    )
+
+
+def world_to_camera(pose: list[float], where: str) -> np.ndarray:
+    """[3, 4] from a quaternion (w, x, y, z), normalised here, and a translation. Raises SnergError when it is none."""
+    q = np.array(pose[:4], np.float64)
+    length = float(np.linalg.norm(q))
+    if len(pose) != 7 or not np.isfinite(pose).all() or length < 1e-9:
+        raise SnergError(f"{where} has a pose that is not a finite rotation and position; run COLMAP's mapper again.")
+    w, x, y, z = q / length
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.concatenate([rotation, np.array(pose[4:])[:, None]], axis=1)
+
+
+def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: Path) -> View:
+    lens = lenses[shot.lens]
+    rotation, translation = shot.world_to_camera[:, :3], shot.world_to_camera[:, 3]
+    pose = np.eye(4)
+    pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
+    pose[:3, 3] = -rotation.T @ translation
+    camera: Camera = scaled_to(
+        read_size(image),
+        (float(lens.width), float(lens.height)),
+        f"{folder}, image {shot.name},",
+        focal=lens.focal,
+        centre=lens.centre,
+        camera_to_world=pose,
+        name=Path(shot.name).stem,
+        distortion=lens.distortion,
+    )
+    mask = inside(root, f"masks/{shot.name}.png", str(folder))
+    return View(camera, image, mask if mask.is_file() else None)
+
+
+def _bounds(shots: list[Shot], points: Points) -> np.ndarray | None:
+    """[V, 2] depths of the nearest and the farthest point in each view; None where a view has no points."""
+    bounds = []
+    for shot in shots:
+        place = np.searchsorted(points.numbers, shot.seen).clip(max=len(points.numbers) - 1)
+        known = place[points.numbers[place] == shot.seen]
+        depth = points.points[known] @ shot.world_to_camera[2, :3] + shot.world_to_camera[2, 3]
+        depth = depth[depth > 0]
+        if not len(depth):
+            return None
+        bounds.append(np.percentile(depth, NOISE))
+    return np.array(bounds)
+
+
+def _model_folder(path: Path) -> Path | None:
+    """The first of the usual folders that holds a model."""
+    for name in FOLDERS:
+        folder = path / name
+        if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
+            return inside(path, name, str(path))
+    return None
+
+
+def _root(path: Path) -> Path:
+    """The folder with the images: `path`, or above it where the model itself was named."""
+    path = path.resolve()
+    for root in (path, path.parent, path.parent.parent):
+        if any(p.is_dir() for p in root.glob("images*")):
+            return root
+    return path
+
+
+def _with_other_suffix(pictures: Path, name: str, folder: Path) -> Path | None:
+    """images_<n> may hold JPEGs as PNG."""
+    return find_image(pictures, name.rpartition(".")[0] or name, str(folder))

@@ -1,0 +1,73 @@
+"""poses_bounds.npy as LLFF writes it (Mildenhall et al. 2019), beside folders images and images_<n>."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import SnergError
+from ...io.files import inside
+from ...io.guard import check_file, reading
+from ...io.images import read_size
+from ..dataset import DatasetOptions, Source, View
+from ..image_resolver import image_folder, images_in, scaled_to
+
+FILE = "poses_bounds.npy"
+MAX_BYTES = 2**26  # 490,000 views
+TO_OPENGL = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # columns (down, right, back) to (right, up, back)
+
+
+def is_llff(path: Path) -> bool:
+    """Whether `read_llff` is the reader for this file or folder."""
+    return path.name == FILE if path.is_file() else (path / FILE).is_file()
+
+
+def read_llff(path: Path, options: DatasetOptions) -> Source:
+    """Poses, one focal length a view, and the nearest and farthest depth that a view sees.
+
+    Images are taken by name, in order, one a pose. Raises SnergError when their numbers differ, or the table is damaged.
+    """
+    root = path.parent if path.is_file() else path
+    table = read_table(inside(root, FILE, str(root)))
+    folder, factor = image_folder(root, options.downscale, str(root / FILE))
+    images = images_in(folder, str(root))
+    if len(images) != len(table):
+        raise SnergError(f"{root / FILE} has {len(table)} poses, but {folder} has {len(images)} images; they must be as many.")
+    views = []
+    for index, (row, image) in enumerate(zip(table, images, strict=True)):
+        where = f"{root / FILE}, pose {index}"
+        pose, (height, width, focal) = row[:15].reshape(3, 5)[:, :4], row[:15].reshape(3, 5)[:, 4]
+        camera = scaled_to(
+            read_size(image),
+            (float(width), float(height)),
+            where,
+            focal=(float(focal), float(focal)),
+            centre=(float(width) / 2, float(height) / 2),
+            camera_to_world=np.concatenate([pose[:, :3] @ TO_OPENGL, pose[:, 3:]], axis=1),
+            name=image.stem,
+        )
+        views.append(View(camera, image))
+    return Source(root, "llff", tuple(views), photographs=True, bounds=table[:, 15:], factor=factor)
+
+
+def read_table(path: Path) -> np.ndarray:
+    """[V, 17] float64: 3 x 5 numbers (axes, position, and height, width, focal length), near and far.
+
+    Raises SnergError when it is something else; nothing in it is ever run as code (hard case 62).
+    """
+    check_file(path, MAX_BYTES)
+    with reading(path, "run LLFF's imgs2poses again", f"The array of numbers {path}"):
+        table = np.lib.format.open_memmap(path, mode="r")  # takes memory for no more than there is, and no pickles
+    if table.ndim != 2 or table.shape[1] != 17 or not np.issubdtype(table.dtype, np.number):
+        raise SnergError(f"{path} holds {table.dtype} {table.shape} instead of 17 numbers for each view; run LLFF's imgs2poses again.")
+    if np.iscomplexobj(table) or not np.isfinite(table).all():
+        raise SnergError(f"{path} holds poses or bounds that are not finite; run LLFF's imgs2poses again.")
+    table = np.array(table, np.float64)
+    if not len(table):
+        raise SnergError(f"{path} has no poses; a dataset needs images with their cameras.")
+    bad = np.flatnonzero(~((table[:, 15] > 0) & (table[:, 16] > table[:, 15])))
+    if len(bad):
+        near, far = table[bad[0], 15:]
+        raise SnergError(f"{path}, pose {bad[0]}, sees from {near:g} to {far:g}; near must be above 0 and far beyond it.")
+    return table

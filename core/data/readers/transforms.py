@@ -1,0 +1,303 @@
+"""transforms.json as NeRF-synthetic, instant-ngp and nerfstudio write it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import SnergError
+from ...geometry.box import Box
+from ...geometry.camera import Camera, focal_from_angle
+from ...geometry.distortion import MODELS, Distortion
+from ...io.files import inside, json_bytes, read_json, write_bytes
+from ...io.guard import reading
+from ...io.images import read_size
+from ..dataset import DatasetOptions, Source, View
+from ..image_resolver import find_image, scaled_to
+from .ply import read_ply
+
+LENSES = {
+    **dict.fromkeys(("", "PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), "opencv"),
+    **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
+}
+OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # how instant-ngp tells of lenses that are not supported here
+OURS = ("snerg_box", "snerg_render")  # renders of our own: the world is Blender's
+SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # nerfstudio's
+NGP_SCALE = 0.33  # of instant-ngp's unit cube to the poses' units, where the file gives none
+
+
+def is_transforms(path: Path) -> bool:
+    """Whether `read_transforms` is the reader for this file or folder."""
+    if path.is_file():
+        return path.suffix.lower() == ".json"
+    return (path / "transforms.json").is_file() or any(path.glob("transforms_*.json"))
+
+
+def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
+    """Cameras and images of transforms_<split>.json, of transforms.json, or of a transforms file given by name.
+
+    Intrinsics come from camera_angle_x, or from fl_x, fl_y, cx, cy, w, h and the lens's k1.. p1.., of the file or of a frame.
+    The world stays as it is for renders, which is what transforms_<split>.json and files without fl_x are taken to be.
+    Frames without an image are an error, but for instant-ngp's captures (aabb_scale): that tool lists the photographs which it
+    found too blurred and threw away. Raises SnergError when a file, frame, image, mask, lens or pose makes no sense.
+    """
+    file, names = find_file(path, split)
+    with reading(file, "write it again"):
+        return _read_transforms(file, names, split, options)
+
+
+def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
+    value, frames = read_frames(file)
+    views = [read_frame(file, value, frame, index, "aabb_scale" in value) for index, frame in enumerate(frames)]
+    there = tuple(view for view in views if view is not None)
+    if not there:
+        raise SnergError(f"{file} lists {len(frames)} images, of which none exists; put them where the file says, or correct it.")
+    splits: dict[str, list[int]] | None
+    splits = {split: list(range(len(there)))} if names else listed_splits(file, value, frames, views)
+    points, colours = read_points(file, value)
+    photographs = (
+        not names and not any(key in value for key in OURS) and any("fl_x" in v or "camera_model" in v for v in (value, frames[0]))
+    )
+    return Source(
+        root=file.parent,
+        kind="transforms",
+        views=there,
+        splits=splits,
+        names=names,
+        box=Box.from_json(value["snerg_box"], f"{file}: snerg_box") if "snerg_box" in value else None,
+        photographs=photographs,
+        points=points,
+        colours=colours,
+        half=read_half(file, value),
+        factor=options.downscale,
+        passed_over=len(views) - len(there),
+    )
+
+
+def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
+    """The file that holds a split, and the splits that have files of their own. Raises SnergError that lists them."""
+    if path.is_file():
+        return path, (split,) if path.name.startswith("transforms_") else ()
+    there = tuple(sorted(p.stem.removeprefix("transforms_") for p in path.glob("transforms_*.json")))
+    if f"transforms_{split}" in (f"transforms_{name}" for name in there):
+        return path / f"transforms_{split}.json", there
+    if (path / "transforms.json").is_file():
+        return path / "transforms.json", ()
+    raise SnergError(f"The dataset {path} has no split {split!r}; it has the splits {', '.join(there)}.")
+
+
+def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The file's value and its frames. Raises SnergError when it has none."""
+    value = read_json(file)
+    frames = value.get("frames") if isinstance(value, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
+    for index, frame in enumerate(frames):
+        if not isinstance(frame, dict):
+            raise SnergError(f"{file}, frame {index} is not an object with file_path and transform_matrix.")
+    return value, frames
+
+
+def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, passes_over: bool) -> View | None:
+    """One frame's camera, image and mask; None for a frame without its image, with `passes_over`."""
+    where = f"{file}, frame {index}"
+    name = frame.get("file_path")
+    if not isinstance(name, str) or not name:
+        raise SnergError(f"{where} has no file_path; every frame needs an image.")
+    image = find_image(file.parent, name, where)
+    if image is None:
+        if passes_over:
+            return None
+        raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
+    camera = read_camera(value, frame, read_size(image), where, name=image.stem)
+    mask, hides = find_mask(file.parent, value, frame, image, where)
+    return View(camera, image, mask, hides)
+
+
+def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
+    """nerfstudio's mask_path, or a dynamic_mask_<name>.png of instant-ngp's beside the image, which hides what is white."""
+    name = frame.get("mask_path", value.get("mask_path"))
+    if name is not None:
+        mask = find_image(root, name, where) if isinstance(name, str) else None
+        if mask is None:
+            raise SnergError(f"{where} names the mask {name}, which does not exist in {root}; put it there or take mask_path out.")
+        return mask, False
+    dynamic = inside(root, str(image.with_name(f"dynamic_mask_{image.stem}.png")), where)
+    return (dynamic, True) if dynamic.is_file() else (None, False)
+
+
+def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, int], where: str, name: str) -> Camera:
+    """The camera of a frame whose image is `size` (width, height) pixels; intrinsics given for `w` x `h` are scaled to it."""
+    try:
+        pose = np.array(frame["transform_matrix"], np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise SnergError(f"{where} has no transform_matrix of 4 x 4 numbers; every frame needs a pose.") from error
+    merged = {**value, **frame}
+    if "camera_angle_x" in frame and "fl_x" not in frame:
+        merged.pop("fl_x", None)
+    try:
+        return _camera(merged, size, pose, where, name)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SnergError(f"{where} has intrinsics that are not numbers ({error}).") from error
+
+
+def _camera(value: dict[str, Any], size: tuple[int, int], pose: np.ndarray, where: str, name: str) -> Camera:
+    width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
+    if "fl_x" in value:
+        focal_x = float(value["fl_x"])
+    elif "camera_angle_x" in value:
+        focal_x = focal_from_angle(float(value["camera_angle_x"]), 1, where) * width
+    else:
+        raise SnergError(f"{where} has neither camera_angle_x nor fl_x; a camera needs a field of view or a focal length.")
+    return scaled_to(
+        size,
+        (width, height),
+        where,
+        focal=(focal_x, float(value.get("fl_y", focal_x))),
+        centre=(float(value.get("cx", width / 2)), float(value.get("cy", height / 2))),
+        camera_to_world=pose,
+        projection=str(value.get("projection", "perspective")),
+        name=name,
+        near=float(value.get("near", 0)),
+        distortion=read_lens(value, where),
+    )
+
+
+def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
+    """The lens that a file or frame describes, None for none. Raises SnergError that names a model which is not supported."""
+    named = str(value.get("camera_model", "")).upper()
+    other = [key for key in OTHER_LENSES if value.get(key)]
+    if named not in LENSES or other:
+        raise SnergError(f"{where} has the lens {other[0] if other else named}, which is not supported; undistort the images first.")
+    model = "fisheye" if value.get("is_fisheye") else LENSES[named]
+    coefficients = tuple(float(value.get(key, 0)) for key in MODELS[model])
+    return Distortion(model, coefficients) if model == "fisheye" or any(coefficients) else None
+
+
+def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]], views: list[View | None]) -> dict[str, list[int]] | None:
+    """nerfstudio's train_filenames and the like, as numbers of the views there are; None where the file lists none."""
+    keys = [split for split, key in SPLITS.items() if key in value]
+    if not keys:
+        return None
+    number: dict[str, int] = {}
+    there = 0
+    for frame, view in zip(frames, views, strict=True):
+        if view is not None:
+            number[_plain(frame["file_path"])] = there
+            there += 1
+    splits = {}
+    for split in keys:
+        names = value[SPLITS[split]]
+        if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+            raise SnergError(f"{file}: {SPLITS[split]} is not a list of file names.")
+        unknown = [n for n in names if _plain(n) not in number]
+        if unknown:
+            raise SnergError(f"{file}: {SPLITS[split]} names {unknown[0]} and {len(unknown) - 1} more that are no frame's file_path.")
+        splits[split] = [number[_plain(n)] for n in names]
+    return splits
+
+
+def _plain(name: str) -> str:
+    return name.removeprefix("./")
+
+
+def read_points(file: Path, value: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The points of ply_file_path, in the poses' world, if the file is there. applied_transform is in the poses and points already."""
+    name = value.get("ply_file_path")
+    if not isinstance(name, str):
+        return None, None
+    path = inside(file.parent, name, str(file))
+    return read_ply(path) if path.is_file() else (None, None)
+
+
+def read_half(file: Path, value: dict[str, Any]) -> float | None:
+    """Half the side of instant-ngp's cube round the origin, in the poses' units."""
+    if "aabb_scale" not in value:
+        return None
+    try:
+        half = 0.5 * float(value["aabb_scale"]) / float(value.get("scale", NGP_SCALE))
+    except (TypeError, ValueError, ZeroDivisionError) as error:
+        raise SnergError(f"{file} has an aabb_scale that is not a number ({error}).") from error
+    if not (math.isfinite(half) and half > 0):
+        raise SnergError(f"{file} has an aabb_scale of {value['aabb_scale']}; it must be above 0.")
+    return half
+
+
+def write_transforms(
+    path: Path,
+    cameras: Sequence[Camera],
+    image_names: Sequence[str],
+    box: Box | None = None,
+    extra: dict[str, Any] | None = None,
+) -> None:
+    """Write cameras as a transforms file that any NeRF tool reads, whole or not at all.
+
+    image_names: a path a camera, relative to the file. `box` and `extra` are further keys of our own at the top.
+    """
+    first = cameras[0]
+    frames = [
+        {"file_path": name, "transform_matrix": camera.camera_to_world.tolist(), **intrinsics_json(camera)}
+        for camera, name in zip(cameras, image_names, strict=True)
+    ]
+    value: dict[str, Any] = {"camera_angle_x": 2 * float(np.arctan2(first.width / 2, first.focal[0])), **(extra or {})}
+    if box is not None:
+        value["snerg_box"] = box.to_json()
+    write_bytes(path, json_bytes({**value, "frames": frames}))
+
+
+def intrinsics_json(camera: Camera) -> dict[str, Any]:
+    """fl_x, fl_y, cx, cy, w, h and the lens as instant-ngp names them, and the projection where it is not perspective."""
+    value: dict[str, Any] = {
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": float(camera.focal[0]),
+        "fl_y": float(camera.focal[1]),
+        "cx": float(camera.centre[0]),
+        "cy": float(camera.centre[1]),
+    }
+    if camera.distortion is not None:
+        value["camera_model"] = "OPENCV_FISHEYE" if camera.distortion.model == "fisheye" else "OPENCV"
+        value |= dict(zip(MODELS[camera.distortion.model], camera.distortion.coefficients, strict=True))
+    if camera.projection != "perspective":
+        value["projection"] = camera.projection
+    if camera.near:
+        value["near"] = float(camera.near)
+    return value
+
+
+def read_cameras(path: Path) -> tuple[Camera, ...]:
+    """Only the cameras of a transforms file, for rendering: its images need not exist where it gives sizes.
+
+    Raises SnergError when the file has no frames, or gives no size for a camera.
+    """
+    with reading(path, "write it again"):
+        return _read_cameras(path)
+
+
+def _read_cameras(path: Path) -> tuple[Camera, ...]:
+    value, frames = read_frames(path)
+    cameras = []
+    for index, frame in enumerate(frames):
+        where = f"{path}, frame {index}"
+        name = str(frame.get("file_path", f"{index:03d}"))
+        merged = {**value, **frame}
+        if "w" in merged and "h" in merged:
+            size = _whole(merged["w"], where), _whole(merged["h"], where)
+        else:
+            image = find_image(path.parent, name, where)
+            if image is None:
+                raise SnergError(f"{where} gives no w and h, and its image {name} does not exist; a camera needs a size.")
+            size = read_size(image)
+        cameras.append(read_camera(value, frame, size, where, name=Path(name).stem))
+    return tuple(cameras)
+
+
+def _whole(value: Any, where: str) -> int:
+    try:
+        return int(value)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SnergError(f"{where} has a size that is not a number ({error}).") from error

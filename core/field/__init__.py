@@ -1,1 +1,0 @@
-"""The deferred NeRF: encodings, networks, sampling, volume rendering, training."""

@@ -1,0 +1,1 @@
+"""Cameras, lenses, device coordinates and boxes."""

@@ -1,0 +1,227 @@
+"""Cameras: intrinsics, pose and the rays of their pixels.
+
+OpenGL convention: x right, y up, looking down -z; the world is Blender's, z up. Pixel (column, row) has
+its centre at (column + 0.5, row + 0.5), row 0 at the top.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import SnergError
+from ..io.guard import why
+from ..io.schema import FAR, text
+from .distortion import Distortion
+
+PROJECTIONS = ("perspective", "orthographic")
+MAX_PIXELS = 2**28  # of a picture; beyond, its rays fill the memory
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole or parallel camera, the pinhole with a lens if it has one.
+
+    width, height: pixels.
+    focal: (x, y) in pixels; for an orthographic camera, pixels per world unit.
+    centre: (x, y) principal point in pixels from the top left corner.
+    camera_to_world: [4, 4] float64, rigid (see `rigid`).
+    projection: 'perspective' or 'orthographic'.
+    near: distance along the ray, in world units, before which nothing is seen.
+    distortion: of the lens, None for an ideal one.
+    """
+
+    width: int
+    height: int
+    focal: tuple[float, float]
+    centre: tuple[float, float]
+    camera_to_world: np.ndarray
+    projection: str = "perspective"
+    name: str = ""
+    near: float = 0.0
+    distortion: Distortion | None = None
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
+        if self.projection not in PROJECTIONS:
+            raise SnergError(f"Camera {self.name!r} is {self.projection}; only perspective and orthographic cameras are supported.")
+        if self.width * self.height > MAX_PIXELS:
+            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the most is {MAX_PIXELS} in all.")
+        if not (math.isfinite(self.near) and self.near >= 0):
+            raise SnergError(f"Camera {self.name!r} has its near plane at {self.near}; it must be finite and not below 0.")
+        if not all(math.isfinite(f) and f > 0 for f in self.focal):
+            raise SnergError(f"Camera {self.name!r} has a focal length of {self.focal} pixels; it must be finite and above 0.")
+        if not np.isfinite(self.centre).all():
+            raise SnergError(f"Camera {self.name!r} has a principal point of {self.centre}; it must be finite.")
+        if self.distortion is not None and self.projection != "perspective":
+            raise SnergError(f"Camera {self.name!r} is {self.projection} and has a lens; only perspective cameras have one.")
+        object.__setattr__(self, "camera_to_world", rigid(self.camera_to_world, f"Camera {self.name!r}"))
+
+    @property
+    def position(self) -> np.ndarray:
+        """[3] float64, world units."""
+        return self.camera_to_world[:3, 3]
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view on another number of pixels."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            focal=(self.focal[0] * sx, self.focal[1] * sy),
+            centre=(self.centre[0] * sx, self.centre[1] * sy),
+        )
+
+    def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Origins and unit directions through pixel centres, world axes, float64.
+
+        pixels: [N, 2] (column, row) integers; all pixels, row by row, when None. Returns ([N, 3], [N, 3]).
+        """
+        pixels = self.pixels() if pixels is None else pixels
+        flat = self._normalised(pixels)
+        if self.distortion is not None:
+            flat = self.distortion.undistort(flat)
+        x, y = flat[:, 0], -flat[:, 1]
+        rotation, position = self.camera_to_world[:3, :3], self.position
+        if self.projection == "orthographic":
+            origins = position + np.stack([x, y, np.zeros_like(x)], axis=-1) @ rotation.T
+            return origins, np.broadcast_to(-rotation[:, 2], origins.shape).copy()
+        directions = np.stack([x, y, -np.ones_like(x)], axis=-1) @ rotation.T
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return np.broadcast_to(position, directions.shape).copy(), directions
+
+    def pixels(self) -> np.ndarray:
+        """[H * W, 2] (column, row) of every pixel, row by row."""
+        rows, columns = np.mgrid[0 : self.height, 0 : self.width]
+        return np.stack([columns.ravel(), rows.ravel()], axis=-1)
+
+    def sees(self) -> np.ndarray | None:
+        """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
+        if self.distortion is None:
+            return None
+        across, down = np.arange(self.width), np.arange(self.height)
+        edges = [np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in ((across, 0), (across, self.height - 1))]
+        edges += [np.stack(np.broadcast_arrays(x, down), axis=-1) for x in (0, self.width - 1)]
+        if self.distortion.sees(self._normalised(np.concatenate(edges))).all():
+            return None  # what a lens sees has no holes
+        return self.distortion.sees(self._normalised(self.pixels())).reshape(self.height, self.width)
+
+    def reduced(self, factor: int) -> Camera:
+        """The same view with squares of `factor` x `factor` pixels made one, as `images.reduced` makes them."""
+        if factor == 1:
+            return self
+        width, height = self.width // factor, self.height // factor
+        if width < 1 or height < 1:
+            raise SnergError(f"Camera {self.name!r} has {self.width} x {self.height} pixels; dividing by {factor} leaves nothing of them.")
+        focal, centre = (
+            (self.focal[0] / factor, self.focal[1] / factor),
+            (self.centre[0] / factor, self.centre[1] / factor),
+        )
+        return replace(self, width=width, height=height, focal=focal, centre=centre)
+
+    def moved(self, similarity: np.ndarray) -> Camera:
+        """The camera in a world that [4, 4] `similarity` maps this one to; its near plane moves along."""
+        scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+        focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
+        return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, focal=focal)
+
+    def _normalised(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""
+        return (pixels + 0.5 - np.array(self.centre)) / np.array(self.focal)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
+        local = (points - self.position) @ self.camera_to_world[:3, :3]
+        depth = -local[:, 2]
+        scale = np.ones_like(depth) if self.projection == "orthographic" else 1 / np.where(depth == 0, np.inf, depth)
+        flat = local[:, :2] * [1, -1] * scale[:, None]
+        if self.distortion is not None:
+            flat = self.distortion.distort(flat)
+        return np.array(self.centre) + np.array(self.focal) * flat, depth
+
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """[N] bool: which world points [N, 3] are in the picture, whatever is in front of them."""
+        pixels, depth = self.project(points)
+        return (depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1)
+
+    def toward(self, points: np.ndarray) -> np.ndarray:
+        """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
+        if self.projection == "orthographic":
+            return np.broadcast_to(-self.camera_to_world[:3, 2], points.shape).copy()
+        way = points - self.position
+        return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+
+    def to_json(self) -> dict[str, Any]:
+        """All of the camera as JSON values, for `from_json`."""
+        return {
+            "name": self.name,
+            "projection": self.projection,
+            "width": self.width,
+            "height": self.height,
+            "focal": [float(f) for f in self.focal],
+            "centre": [float(c) for c in self.centre],
+            "near": float(self.near),
+            "camera_to_world": self.camera_to_world.tolist(),
+            **({"distortion": self.distortion.to_json()} if self.distortion is not None else {}),
+        }
+
+    @classmethod
+    def from_json(cls, value: Any) -> Camera:
+        """Undo `to_json`. Raises SnergError on anything else."""
+        try:
+            focal, centre = value["focal"], value["centre"]
+            return cls(
+                width=int(value["width"]),
+                height=int(value["height"]),
+                focal=(float(focal[0]), float(focal[1])),
+                centre=(float(centre[0]), float(centre[1])),
+                camera_to_world=np.array(value["camera_to_world"], np.float64),
+                projection=str(value["projection"]),
+                name=text(value["name"], "name"),
+                near=float(value["near"]),
+                distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
+            )
+        except SnergError:
+            raise
+        except Exception as error:  # whatever a value of another kind raises
+            raise SnergError(f"A camera is incomplete or damaged ({why(error)}); write the file again.") from error
+
+
+def focal_from_angle(angle: float, pixels: int, where: str) -> float:
+    """Focal length in pixels of a field of view in radians.
+
+    Raises SnergError unless 0 < angle < pi (hard case 4).
+    """
+    if not (math.isfinite(angle) and 1e-6 < angle < math.pi - 1e-6):
+        raise SnergError(f"{where} has a field of view of {angle} radians; it must lie between 0 and pi.")
+    return 0.5 * pixels / math.tan(0.5 * angle)
+
+
+def rigid(matrix: np.ndarray, where: str) -> np.ndarray:
+    """[4, 4] pose with the scale taken out of its axes, float64 (hard case 5).
+
+    Raises SnergError when the matrix is not finite, is flat, or mirrors.
+    """
+    matrix = np.array(matrix, dtype=np.float64)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, [0, 0, 0, 1]])
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= FAR).all():
+        raise SnergError(f"{where} has a pose that is not a finite 4 x 4 matrix; check the file that it came from.")
+    axes = matrix[:3, :3]
+    lengths = np.linalg.norm(axes, axis=0)
+    if lengths.min() < 1e-12:
+        raise SnergError(f"{where} has a pose with an axis of length 0; give the object a scale other than 0.")
+    determinant = np.linalg.det(axes / lengths)
+    if determinant < 1e-3:
+        what = "mirrors space" if determinant < -1e-3 else "is flat"
+        raise SnergError(f"{where} has a pose that {what}; its scale must be positive and its axes independent.")
+    u, _, vt = np.linalg.svd(axes / lengths)
+    result = np.eye(4)
+    result[:3, :3] = u @ vt
+    result[:3, 3] = matrix[:3, 3]
+    return result

@@ -1,1 +1,0 @@
-"""The baked scene: box, voxels, bake, march."""

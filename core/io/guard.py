@@ -1,0 +1,101 @@
+"""One guard for every reader: a file may hold anything, and what is wrong with it comes out as one sentence (hard cases 61, 62)."""
+
+from __future__ import annotations
+
+import os
+import stat
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import SnergError, clean
+
+WHY = 200  # characters of a decoder's own message
+MAX_MEMBERS = 4096  # arrays of an .npz
+UNPACKED = 2**24  # bytes that a small .npz may unpack to
+EXPANSION = 8  # times an .npz's size that it may unpack to beyond that: what SNeRG writes is not compressed
+PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # NumPy's; others unpack any amount from a few bytes at a time
+
+
+@contextmanager
+def reading(path: Path, advice: str, subject: str = "") -> Iterator[None]:
+    """Turn whatever decoding `path` raises into one SnergError; a SnergError, Cancelled included, passes as it is.
+
+    advice: what to do where the file is damaged, such as 'export it again'. subject: what the sentence begins with; the path where ''.
+    """
+    subject = subject or str(path)
+    try:
+        yield
+    except SnergError:
+        raise
+    except FileNotFoundError as error:
+        raise SnergError(f"{subject} does not exist; check the path.") from error
+    except MemoryError as error:
+        raise SnergError(f"{subject} asks for more memory than there is; {advice}, or close other programs.") from error
+    except Exception as error:  # decoders raise what they like: zlib.error, TokenError, OverflowError, RecursionError, struct.error ...
+        if isinstance(error, OSError) and error.errno is not None:
+            raise SnergError(f"Cannot read {path} ({error.strerror or error}).") from error
+        raise SnergError(f"{subject} is damaged or cut short ({why(error)}); {advice}.") from error
+
+
+def why(error: BaseException) -> str:
+    """A decoder's message as part of a sentence."""
+    kind, text = type(error).__name__, clean(str(error), WHY)
+    return text if text and type(error) in (ValueError, OSError) else f"{kind}: {text}" if text else kind
+
+
+def check_file(path: Path, most: int) -> int:
+    """The size in bytes of a regular file. Raises SnergError where there is none, for a device or a pipe, and beyond `most` bytes."""
+    try:
+        known = os.stat(path)
+    except FileNotFoundError as error:
+        raise SnergError(f"{path} does not exist; check the path.") from error
+    except (OSError, ValueError) as error:
+        raise SnergError(f"Cannot read {path} ({getattr(error, 'strerror', None) or error}).") from error
+    if stat.S_ISDIR(known.st_mode):
+        raise SnergError(f"{path} is a folder where a file is needed; check the path.")
+    if not stat.S_ISREG(known.st_mode):
+        raise SnergError(f"{path} is a device or a pipe, not a file; copy what it holds to a file first.")
+    if known.st_size > most:
+        raise SnergError(f"{path} is larger than {most >> 20} MiB; it cannot be a file that SNeRG reads.")
+    return known.st_size
+
+
+def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
+    """The arrays of an .npz of at most `most` bytes, no pickles.
+
+    What they unpack to is added up from their headers first. Raises SnergError as `check_file` does, anything that a decoder raises
+    otherwise: call it in `reading`.
+    """
+    size = check_file(path, most)
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        total = sum(member.file_size for member in members)
+        if len(members) > MAX_MEMBERS or total > UNPACKED + EXPANSION * size:
+            raise ValueError(f"{size} bytes would unpack to {len(members)} arrays of {total} bytes, which no file of SNeRG's does")
+        return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """A member, which must be as long as its header says. Raises ValueError and what decoders raise."""
+    if member.compress_type not in PACKED:
+        raise ValueError(f"{member.filename} is packed by method {member.compress_type}")
+    with archive.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"{member.filename} has version {version} of NumPy's format")
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran, kind = read_header(file)
+        count = 1
+        for length in shape:
+            count *= length
+        if kind.hasobject or kind.itemsize == 0 or min(shape, default=0) < 0 or count * kind.itemsize > member.file_size:
+            raise ValueError(f"{member.filename} says that it is {shape} {kind}, more than it holds")
+        data = file.read(count * kind.itemsize + 1)
+        if len(data) != count * kind.itemsize:
+            raise ValueError(f"{member.filename} says that it is {shape} {kind}, but has {len(data)} bytes")
+    values = np.frombuffer(bytearray(data), kind)
+    return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)

@@ -1,0 +1,245 @@
+"""Reading and writing pictures as arrays, and the sRGB curve.
+
+A picture is taken as it is stored: where its EXIF data say that it should be turned for viewing, it is not turned, because the
+poses that COLMAP and all that build on it find are those of the stored pixels.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ..errors import SnergError
+from .files import write_bytes
+from .guard import check_file, reading, why
+
+MAX_PIXELS = 2**27  # 134 million: past any camera, short of filling the memory from a small file (hard case 61)
+FLAT_PIXELS = 2**24  # that a picture of any few bytes may have
+FLAT_MASK = 2**26  # and a mask, which is one channel and may be white throughout
+PIXELS_PER_BYTE = 256  # that larger ones may have: an empty picture of 8-bit RGBA as PNG has 250, what shows something has fewer
+MAX_BYTES = 2**31
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # Pillow knows more, some of which start other programs
+LINEAR = (".exr",)  # read through OpenImageIO
+DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
+
+
+def read_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does."""
+    if path.suffix.lower() in LINEAR:
+        return _Linear(path).size
+    with _open(path) as image:
+        return image.size
+
+
+def read_image(path: Path) -> np.ndarray:
+    """A picture as uint8 [H, W, 3 or 4], sRGB, straight alpha.
+
+    16 bits a channel are rounded to 8. OpenEXR is linear with premultiplied alpha and is brought to sRGB and straight alpha.
+    Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or needs OpenImageIO where there is none.
+    """
+    if path.suffix.lower() in LINEAR:
+        return _Linear(path).read()
+    with _open(path) as image, reading(path, "write it again", f"The image {path}"):
+        if image.mode in DEEP:
+            return _deep(path, image)
+        has_alpha = "A" in image.getbands() or "transparency" in image.info
+        return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+
+
+def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.ndarray:
+    """A mask as bool [height, width]: where it is white throughout the pixel, with `hides` where it is black throughout.
+
+    Raises SnergError as `read_image` does, and when its sides are in another proportion.
+    """
+    with _open(path, FLAT_MASK) as image:
+        if abs(image.width * height - image.height * width) > 0.02 * image.width * height + 2 * max(image.size):
+            raise SnergError(f"The mask {path} is {image.width} x {image.height}, its image {width} x {height}; make it the same size.")
+        with reading(path, "write it again", f"The mask {path}"):
+            grey = image.convert("L")
+            white = grey.point([255] * 128 + [0] * 128 if hides else [0] * 128 + [255] * 128)
+            return np.asarray(white.resize((width, height), Image.Resampling.BOX)) == 255
+
+
+def reduced(pixels: np.ndarray, factor: int) -> np.ndarray:
+    """uint8 [H, W, 3 or 4] to [H // factor, W // factor, ...]: the mean of each square of pixels, in display space; where there
+    is alpha, colours count as much as they cover. Rows and columns that fill no square are left out."""
+    if factor == 1:
+        return pixels
+    height, width = pixels.shape[0] // factor * factor, pixels.shape[1] // factor * factor
+    image = Image.fromarray(np.ascontiguousarray(pixels[:height, :width]))
+    if pixels.shape[-1] == 4:
+        return np.asarray(image.convert("RGBa").reduce(factor).convert("RGBA"))
+    return np.asarray(image.reduce(factor))
+
+
+def damaged(path: Path, error: Exception | str) -> SnergError:
+    """The sentence for a picture that cannot be decoded."""
+    return SnergError(f"The image {path} is damaged ({error}); write it again.")
+
+
+def _deep(path: Path, image: Image.Image) -> np.ndarray:
+    """Greys of more than 8 bits, uint8 [H, W, 3]."""
+    values = np.asarray(image)
+    if image.mode == "F" or values.min() < 0 or values.max() > 65535:
+        raise SnergError(f"The image {path} has {image.mode!r} values, whose range is not known; write it as PNG or OpenEXR.")
+    grey = (values.astype(np.uint32) * 255 + 32767) // 65535
+    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def _open(path: Path, flat: int = FLAT_PIXELS) -> Image.Image:
+    size = _check_image_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MAX_PIXELS decides
+            image = Image.open(path, formats=FORMATS)
+    except Exception as error:  # Pillow's readers of headers raise what they like
+        raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
+    try:
+        check_size(path, image.width, image.height, size, flat)
+    except SnergError:
+        image.close()
+        raise
+    return image
+
+
+def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:
+    """Raise SnergError when a header says more than MAX_PIXELS, nothing, or more than `size` bytes can show (hard case 61)."""
+    if not 0 < width * height <= MAX_PIXELS or width < 1:
+        raise SnergError(f"The image {path} says that it is {width} x {height} pixels; the most is {MAX_PIXELS} in all.")
+    if size is not None and width * height > max(flat, PIXELS_PER_BYTE * size):
+        raise SnergError(f"The image {path} says that it is {width} x {height} pixels in {size} bytes, too few; write it again.")
+
+
+def _check_image_file(path: Path) -> int:
+    """Bytes of an image's file. Raises SnergError where there is none, or no regular one."""
+    if not path.exists():
+        raise SnergError(f"The image {path} does not exist; put it there or take it out of the dataset.")
+    return check_file(path, MAX_BYTES)
+
+
+class _Linear:
+    """An OpenEXR picture: linear light, premultiplied alpha."""
+
+    def __init__(self, path: Path) -> None:
+        """Reads the header. Raises SnergError as `read_image` does."""
+        self.path, self.oiio = path, _open_image_io(path)
+        size = _check_image_file(path)
+        file = self._input()
+        spec = file.spec()
+        file.close()
+        self.size = int(spec.full_width), int(spec.full_height)
+        check_size(path, *self.size, size)
+        check_size(path, int(spec.width), int(spec.height), size)
+        if spec.deep:
+            raise SnergError(f"The image {path} is a deep one; write it flattened.")
+        self.corner = int(spec.x - spec.full_x), int(spec.y - spec.full_y)
+        self.channels = self._choose(list(spec.channelnames))
+
+    def _input(self) -> Any:
+        file = self.oiio.ImageInput.open(str(self.path))
+        if file is None:
+            raise SnergError(f"The image {self.path} cannot be read as a picture ({_line(self.oiio.geterror())}).")
+        return file
+
+    def _choose(self, names: list[str]) -> list[int]:
+        """The numbers of R, G, B and, if there is one, A; of the combined pass where a file of Blender's has several, or of grey."""
+        for prefix in ("", *sorted({n.rpartition(".")[0] + "." for n in names if n.rpartition(".")[0].endswith("Combined")})):
+            if all(prefix + c in names for c in "RGB"):
+                return [names.index(prefix + c) for c in "RGBA" if prefix + c in names]
+        if "Y" in names:
+            return [names.index("Y")] * 3 + ([names.index("A")] if "A" in names else [])
+        raise SnergError(f"The image {self.path} has no channels R, G and B but {', '.join(names[:8])}; write the combined pass alone.")
+
+    def read(self) -> np.ndarray:
+        """uint8 [H, W, 3 or 4], sRGB, straight alpha."""
+        file = self._input()
+        try:
+            first, last = min(self.channels), max(self.channels) + 1
+            values = file.read_image(0, 0, first, last, "float")
+            if values is None:
+                raise damaged(self.path, _line(file.geterror()))
+        finally:
+            file.close()
+        values = np.asarray(values, np.float32)[..., [c - first for c in self.channels]]
+        if not np.isfinite(values).all():
+            raise SnergError(f"The image {self.path} holds values that are not finite; render it again.")
+        return to_uint8(display_referred(self._framed(values)))
+
+    def _framed(self, values: np.ndarray) -> np.ndarray:
+        """What is stored, in the place that it has in the whole picture; nothing round it."""
+        (width, height), (x, y) = self.size, self.corner
+        if values.shape[:2] == (height, width) and (x, y) == (0, 0):
+            return values
+        whole = np.zeros((height, width, values.shape[-1]), np.float32)
+        left, top = max(x, 0), max(y, 0)
+        part = values[top - y : max(height - y, 0), left - x : max(width - x, 0)]
+        whole[top : top + part.shape[0], left : left + part.shape[1]] = part
+        return whole
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _open_image_io(path: Path) -> Any:
+    try:
+        import OpenImageIO
+    except ImportError as error:
+        raise SnergError(
+            f"The image {path} is OpenEXR, which needs the package OpenImageIO: run 'pip install openimageio' "
+            "(beside NumPy 1: 'openimageio<3.1'), or convert it to PNG."
+        ) from error
+    return OpenImageIO
+
+
+def display_referred(values: np.ndarray) -> np.ndarray:
+    """Linear premultiplied float32 [..., 3 or 4] to sRGB with straight alpha, in [0, 1] (hard case 8)."""
+    colour = values[..., :3]
+    if values.shape[-1] == 3:
+        return linear_to_srgb(np.clip(colour, 0, 1))
+    alpha = np.clip(values[..., 3:], 0, 1)
+    straight = np.where(alpha > 0, colour / np.where(alpha > 0, alpha, 1), colour)
+    return np.concatenate([linear_to_srgb(np.clip(straight, 0, 1)), alpha], axis=-1)
+
+
+def png_bytes(pixels: np.ndarray, compress_level: int = 6) -> bytes:
+    """uint8 [H, W], [H, W, 3] or [H, W, 4] as a PNG of exactly those channels, 8 bits each."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(buffer, format="PNG", compress_level=compress_level)
+    return buffer.getvalue()
+
+
+def write_png(path: Path, pixels: np.ndarray, compress_level: int = 6) -> None:
+    """uint8 pixels to a PNG file, whole or not at all."""
+    write_bytes(path, png_bytes(pixels, compress_level))
+
+
+def to_uint8(colour: np.ndarray) -> np.ndarray:
+    """Display-referred [0, 1] to 8 bits, rounded to nearest. Raises SnergError on values that are not finite."""
+    if not np.isfinite(colour).all():
+        raise SnergError("A picture holds values that are not finite; nothing was written.")
+    return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def over(image: np.ndarray, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+    """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over a colour, in display space (hard case 8)."""
+    colour = image[..., :3].astype(np.float32) / 255
+    if image.shape[-1] == 3:
+        return colour
+    alpha = image[..., 3:].astype(np.float32) / 255
+    return colour * alpha + (1 - alpha) * np.array(background, np.float32)
+
+
+def srgb_to_linear(colour: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, elementwise."""
+    return np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(colour: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, elementwise; below 0 stays linear."""
+    return np.where(colour <= 0.0031308, colour * 12.92, 1.055 * np.maximum(colour, 0.0031308) ** (1 / 2.4) - 0.055)

@@ -1,0 +1,83 @@
+"""Values out of JSON and arrays, checked where they come in. All raise ValueError that names the value; readers make a sentence of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import clean
+
+FAR = 1e12  # the largest length or coordinate, in any unit: beyond, float32 no longer holds what is computed from it
+ALIKE = 1e-3  # how far the axes of a rotation may be from orthonormal
+
+
+def shown(value: Any) -> str:
+    """A value as part of a sentence."""
+    return clean(repr(value), 80)
+
+
+def number(value: Any, name: str, low: float = -FAR, high: float = FAR) -> float:
+    """A finite number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:  # false for NaN
+        raise ValueError(f"{name} is {shown(value)}; it must be a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def positive(value: Any, name: str) -> float:
+    """A finite number above 0."""
+    return number(value, name, 1 / FAR)
+
+
+def whole(value: Any, name: str, low: int, high: int) -> int:
+    """A whole number from `low` to `high`."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"{name} is {shown(value)}; it must be a whole number from {low} to {high}")
+    return value
+
+
+def flag(value: Any, name: str) -> bool:
+    """True or false."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} is {shown(value)}; it must be true or false")
+    return value
+
+
+def text(value: Any, name: str) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise ValueError(f"{name} is {shown(value)}; it must be a text")
+    return value
+
+
+def record(value: Any, name: str) -> dict[str, Any]:
+    """A JSON object."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} is {shown(value)}; it must be an object")
+    return value
+
+
+def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) -> np.ndarray:
+    """Finite numbers of this shape, none beyond `most`, float64."""
+    found = np.asarray(value)
+    if found.shape != shape or found.dtype.kind not in "fiu":
+        raise ValueError(f"{name} is {found.dtype} {found.shape}; it must be {' x '.join(map(str, shape))} numbers")
+    found = found.astype(np.float64)
+    if not (np.abs(found) <= most).all():
+        raise ValueError(f"{name} holds a value that is not finite or beyond {most:g}")
+    return found
+
+
+def rotation(value: Any, name: str) -> np.ndarray:
+    """[3, 3] orthonormal and no mirror."""
+    axes = numbers(value, name, (3, 3))
+    if np.abs(axes.T @ axes - np.eye(3)).max() > ALIKE or np.linalg.det(axes) < 0:
+        raise ValueError(f"{name} is no rotation: its axes must be 1 long and at right angles")
+    return axes
+
+
+def pose(value: Any, name: str) -> np.ndarray:
+    """[4, 4]: a rotation and a translation."""
+    matrix = numbers(value, name, (4, 4))
+    rotation(matrix[:3, :3], name)
+    return matrix

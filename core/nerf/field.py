@@ -1,0 +1,124 @@
+"""A trained or imported deferred NeRF, and how to ask it for values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import SnergError
+from ..geometry.camera import Camera
+from ..geometry.ndc import Ndc
+from .model import Family, ViewNetwork, field_inputs, field_outputs
+from .sampling import Domain, cell_index
+from .shading import sample_values
+
+CHUNK = 16384  # points a call: one compiled shape, and temporaries that stay in reach of the caches
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """The deferred NeRF (section 4.2).
+
+    family: what the network is; params: its arrays, NumPy; network: the view-dependence network, None when diffuse.
+    view: how it depends on the direction that it is seen from: 'deferred' (the network once a ray, section 4.2), 'diffuse' (not at
+    all), 'sample' or 'tiny' (in each sample; see shading.py).
+    ndc: what its space is: the world where None, else the world in these device coordinates.
+    domain: the field's coordinates in that space. occupancy: bool [128^3] (see Occupancy), or None where
+    anything may be anywhere. spacing: distance between samples, field coordinates. cameras: those it was trained from.
+    dataset: the folder it was trained from, '' when imported. about: history and settings, JSON values.
+    """
+
+    family: Family
+    params: Any
+    network: ViewNetwork | None
+    domain: Domain
+    occupancy: np.ndarray | None
+    spacing: float
+    cameras: tuple[Camera, ...] = ()
+    dataset: str = ""
+    about: dict[str, Any] = field(default_factory=dict)
+    ndc: Ndc | None = None
+    view: str = "deferred"
+
+    @cached_property
+    def _compiled(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
+        import jax
+
+        inputs = jax.jit(lambda x: field_inputs(jax.numpy, self.family, x))
+        outputs = jax.jit(lambda params, given: field_outputs(jax.numpy, self.family, params, given))
+        params = jax.device_put(self.params)
+        return lambda x: outputs(params, inputs(x))
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Field coordinates [N, 3] float32 to (density [N] per unit of them, RGB and features [N, 7]); no mask (JAX).
+
+        A diffuse field may have no features: [N, 3].
+        """
+        density, values = in_chunks(self._compiled, x)
+        return self._finite(density, values)
+
+    def _finite(self, density: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for what, array in (("densities", density), ("colours", values)):
+            if not np.isfinite(array).all():
+                raise SnergError(f"The field gives {what} that are not finite; train it again, or import an undamaged checkpoint.")
+        return density, values
+
+    @cached_property
+    def _compiled_seen(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
+        import jax
+
+        def seen(params: Any, inputs: Any, directions: Any) -> tuple[Any, Any]:
+            density, values = field_outputs(jax.numpy, self.family, params["field"], inputs)
+            return density, sample_values(jax.numpy, self.view, self.family, params, values, directions)
+
+        inputs = jax.jit(lambda x: field_inputs(jax.numpy, self.family, x))
+        compiled = jax.jit(seen)
+        params = jax.device_put({"field": self.params, "view": self.network})
+        return lambda x: compiled(params, inputs(x[:, :3]), x[:, 3:])
+
+    def seen(self, x: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`evaluate`, with values as they are composited along unit directions [N, 3] of the world: RGB [N, 3] where view
+        dependence is a sample's own ('sample', 'tiny')."""
+        if self.view not in ("sample", "tiny"):
+            return self.evaluate(x)
+        density, values = in_chunks(self._compiled_seen, np.concatenate([x, directions], axis=-1, dtype=np.float32))
+        return self._finite(density, values)
+
+    def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points [N, 3] of the field's space to density [N] per unit of it, RGB [N, 3], features [N, 4] or [N, 0] (JAX).
+
+        Outside what training saw the field is garbage, so there density is 0.
+        """
+        x = self.domain.from_world(points)
+        kept = np.flatnonzero(self.holds(x))
+        found, known = self.evaluate(x[kept])
+        density = np.zeros(len(points), np.float32)
+        values = np.zeros((len(points), known.shape[-1]), np.float32)
+        density[kept], values[kept] = found, known
+        return density * np.float32(self.domain.scale), values[:, :3], values[:, 3:]
+
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        """[N] bool: field coordinates at which there may be something."""
+        within = (x >= (self.domain.low - 1e-6).astype(np.float32)) & (x <= (self.domain.high + 1e-6).astype(np.float32))
+        inside = within[:, 0] & within[:, 1] & within[:, 2]  # three times as fast as all(axis=-1)
+        if self.occupancy is not None:
+            inside &= self.occupancy[cell_index(x)]
+        return inside
+
+
+def in_chunks(function: Callable[[np.ndarray], Sequence[Any]], x: np.ndarray, size: int = CHUNK) -> tuple[np.ndarray, ...]:
+    """What a function of points [size, 3] gives for [N, 3], a chunk at a time, the last padded with zeros: one compiled shape.
+
+    function: to arrays whose first axis is the points', however many; they come back as NumPy arrays [N, ...].
+    """
+    parts = []
+    for start in range(0, max(len(x), 1), size):  # once for no points too, so that there are shapes
+        part = x[start : start + size]
+        padded = np.zeros((size, x.shape[-1]), np.float32)
+        padded[: len(part)] = part
+        parts.append([np.asarray(got)[: len(part)] for got in function(padded)])
+    return tuple(column[0] if len(column) == 1 else np.concatenate(column) for column in zip(*parts, strict=True))

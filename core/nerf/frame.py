@@ -1,0 +1,75 @@
+"""Pictures: what rays gathered, and colours with view dependence (eq. 7) once a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .model import ViewNetwork, view_residual
+
+NETWORK_TRANSMITTANCE = 254 / 255  # the network runs where less light than this passes (hard case 43)
+STACK = 128
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """colour [H, W, 3] float32 premultiplied, display-referred, over nothing; alpha [H, W]; depth [H, W], the
+    expected distance along the ray in world units, infinite where alpha is 0."""
+
+    colour: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+
+    def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+        """[H, W, 3] in [0, 1] over a colour."""
+        return np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1)
+
+    def straight(self) -> np.ndarray:
+        """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
+        alpha = self.alpha[..., None]
+        colour = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
+        return np.concatenate([np.where(alpha > 0, colour, 0), alpha], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Composited:
+    """What a ray gathers: colour [N, 3], features [N, 4] (none in a diffuse scene: [N, 0]), transmittance [N], and
+    depth [N], distance times opacity in units of the space (see `space_rays`). float32. samples: how many all rays took together, where
+    that is known."""
+
+    colour: np.ndarray
+    features: np.ndarray
+    transmittance: np.ndarray
+    depth: np.ndarray
+    samples: int | None = None
+
+    def part(self, some: slice | np.ndarray) -> Composited:
+        """Some of the rays."""
+        return Composited(self.colour[some], self.features[some], self.transmittance[some], self.depth[some])
+
+
+def shade(network: ViewNetwork | None, rays: Composited, directions: np.ndarray) -> np.ndarray:
+    """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is.
+
+    directions: [N, 3] unit, in the axes in which the network was trained.
+    """
+    if network is None:
+        return rays.colour
+    colour = rays.colour.copy()
+    seen = np.flatnonzero(rays.transmittance <= np.float32(NETWORK_TRANSMITTANCE))
+    over_white = colour[seen] + rays.transmittance[seen, None]
+    colour[seen] += residual(network, over_white, rays.features[seen], directions[seen].astype(np.float32))
+    return colour
+
+
+def residual(network: ViewNetwork, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """`view_residual` [N, 3] of many rays, STACK after STACK."""
+    count = len(colour)
+
+    def stacked(values: np.ndarray) -> np.ndarray:
+        whole = np.empty((-(-count // STACK) * STACK, values.shape[-1]), np.float32)
+        whole[:count], whole[count:] = values, 0
+        return whole.reshape(-1, STACK, values.shape[-1])
+
+    return view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count]

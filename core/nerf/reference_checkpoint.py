@@ -1,0 +1,284 @@
+"""Checkpoints of the reference implementation: msgpack as flax writes it, read without flax.
+
+Deferred, a checkpoint holds MLP_0 .. MLP_3: coarse trunk, coarse view network, fine trunk, fine view network. Without
+view directions it holds MLP_0 and MLP_1, coarse and fine, or just MLP_0 when there were no fine samples. Width, depth,
+skips and degrees of the encoding are read off the tensors' shapes. What no shape tells is taken as the reference's
+default: degrees from 0, sines before cosines, ReLU.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..errors import SnergError
+from ..io.guard import check_file, reading
+from .field import Field
+from .mlp import FEATURES, Dense, Trunk, activate, trunk
+from .model import SHAPES, VIEW_DEGREES, MlpFamily, ViewNetwork, view_residual
+from .sampling import Domain
+
+MAX_BYTES = 2**29  # a deferred NeRF of the paper's size is 50 MB with its optimiser
+LIMITS = {"max_array_len": 64, "max_map_len": 4096, "max_str_len": 4096}  # or a few bytes could ask for gigabytes of list
+NDARRAY, SCALAR = 1, 3  # flax's msgpack extension types
+KINDS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "bool")
+# The networks that a checkpoint holds, to those that are baked: trunk and view network.
+BAKED = {
+    ("MLP_0", "MLP_1", "MLP_2", "MLP_3"): ("MLP_2", "MLP_3"),
+    ("MLP_0", "MLP_1"): ("MLP_1", None),
+    ("MLP_0",): ("MLP_0", None),
+}
+OTHER_FILES = (
+    (rb"PK\x03\x04", "a zip archive, as PyTorch and NumPy write"),
+    (rb"\x80[\x02-\x05]", "a pickle, which can run programs when it is opened and so never is here"),
+    (rb"\x89HDF", "an HDF5 file"),
+    (rb"\x93NUMPY", "a NumPy array"),
+    (rb"\s*[\[{]", "JSON"),
+)
+REACH = 1.5  # what the reference's scenes keep to on every axis; a checkpoint does not say
+SAMPLES_ACROSS = 512  # of that extent, when the field itself is rendered
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceCheckpoint:
+    """The networks of a field as the reference trained it; arrays float32, positions in its world's units.
+
+    family: what `trunk` is. network: None where it is diffuse. Of coarse and fine networks these are the fine ones.
+    """
+
+    step: int
+    family: MlpFamily
+    trunk: Trunk
+    network: ViewNetwork | None
+
+
+def find_checkpoint(path: Path) -> Path | None:
+    """`path` itself, or the newest checkpoint_<step> in the folder `path`; None where there is none."""
+    if not path.is_dir():
+        return path if path.is_file() else None
+    steps = {int(match[1]): p for p in path.iterdir() if p.is_file() and (match := re.fullmatch(r"checkpoint_(\d+)", p.name))}
+    return steps[max(steps)] if steps else None
+
+
+def read_reference_checkpoint(path: Path) -> ReferenceCheckpoint:
+    """Read checkpoint_<step>, or the newest one in a folder.
+
+    Raises SnergError when there is none, when it is cut short, another program's or another kind of NeRF's, or names the
+    tensor that is not finite.
+    """
+    found = find_checkpoint(Path(path))
+    if found is None:
+        raise SnergError(f"There is no checkpoint at {path}; give a checkpoint_<step> file, or the folder that holds it.")
+    with reading(found, "copy it again"):
+        return _read(found)
+
+
+def _read(found: Path) -> ReferenceCheckpoint:
+    optimizer = _mapping(_unpack(found), "optimizer", found)
+    networks = _mapping(_mapping(optimizer, "target", found), "params", found)
+    names = BAKED.get(tuple(sorted(map(str, networks))))
+    if names is None:
+        held = ", ".join(sorted(map(str, networks))[:8])[:100] or "nothing"
+        raise SnergError(f"{found} holds {held}, not the networks of a deferred or diffuse NeRF; give a checkpoint of the SNeRG code.")
+    if names[1] is None and _read_trunk(_layers(networks, "MLP_0", found), "MLP_0", found)[1]:
+        raise SnergError(f"{found} was trained without fine samples, on features that no scene can hold; train it with fine samples.")
+    layers = _layers(networks, names[0], found)
+    family, features = _read_trunk(layers, names[0], found)
+    if names[1] is None:
+        return ReferenceCheckpoint(_step(optimizer, found), family, layers, None)
+    network = _view_network(_layers(networks, names[1], found), features, names[1], found)
+    return ReferenceCheckpoint(_step(optimizer, found), family, _padded(layers), network)
+
+
+def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, directions: Any) -> tuple[Any, Any, Any, Any]:
+    """The networks at positions [N, 3] and unit directions [N, 3].
+
+    Returns (density [N], RGB [N, 3], features [N, 4], residual [N, 3]), the residual as of a ray that gathers just this
+    point; diffuse, there are no features [N, 0] and the residual is 0.
+    """
+    family = checkpoint.family
+    density, colour, features = activate(xnp, *trunk(xnp, checkpoint.trunk, points, family.degrees, family.skip))
+    if checkpoint.network is None:
+        return density, colour, features, xnp.zeros_like(colour)
+    return density, colour, features, view_residual(xnp, checkpoint.network, colour, features, directions)
+
+
+def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
+    """The networks as a field, to bake: its coordinates are the world's, and it fills [-1.5, 1.5]^3.
+
+    A checkpoint knows neither its cameras nor its images, so nothing can be culled by visibility or refined.
+    """
+    reach = np.full(3, REACH)
+    return Field(
+        family=checkpoint.family,
+        params=checkpoint.trunk,
+        network=checkpoint.network,
+        domain=Domain(np.zeros(3), 1.0, -reach, reach),
+        occupancy=None,
+        spacing=2 * REACH / SAMPLES_ACROSS,
+        about={"source": source, "family": type(checkpoint.family).__name__, "steps": checkpoint.step},
+        view="deferred" if checkpoint.network else "diffuse",
+    )
+
+
+def _unpack(path: Path) -> Any:
+    """The file's tree, with arrays left as `_Packed` until they are asked for: never more than twice the file in memory."""
+    import msgpack
+
+    check_file(path, MAX_BYTES)
+    data = path.read_bytes()
+    for start, what in OTHER_FILES:
+        if re.match(start, data):
+            raise SnergError(f"{path} is {what}, not a checkpoint of the SNeRG code; give a checkpoint_<step> that flax wrote.")
+    try:
+        return msgpack.unpackb(data, ext_hook=_Packed, strict_map_key=False, **LIMITS)
+    except Exception as error:  # msgpack raises half a dozen kinds, ValueError to its own StackError
+        why = str(error) or type(error).__name__
+        raise SnergError(f"{path} is not a checkpoint of the SNeRG code, or is cut short ({why}); copy it again.") from error
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """An extension value of the file, not yet believed."""
+
+    code: int
+    data: bytes
+
+    def array(self) -> np.ndarray:
+        """Decode an array or a scalar. Raises ValueError on anything that does not add up."""
+        import msgpack
+
+        if self.code not in (NDARRAY, SCALAR):
+            raise ValueError(f"extension type {self.code}")
+        shape, kind, raw = msgpack.unpackb(self.data, raw=True, **LIMITS)
+        name = kind.decode("ascii", "replace")
+        if name not in KINDS:
+            raise ValueError(f"values of type {name[:20]}")
+        values = np.frombuffer(raw, np.dtype(name))
+        if not all(isinstance(n, int) and n >= 0 for n in shape):
+            raise ValueError("a shape that is none")
+        return values.reshape(shape)
+
+
+def _array(value: Any) -> np.ndarray:
+    """An array, whole or in chunks (flax splits what is over 2^30 bytes). Raises ValueError."""
+    if isinstance(value, Mapping) and "__msgpack_chunked_array__" in value:
+        chunks = [_array(chunk) for chunk in _listed(value["chunks"])]
+        return np.concatenate([chunk.reshape(-1) for chunk in chunks]).reshape([int(n) for n in _listed(value["shape"])])
+    if not isinstance(value, _Packed):
+        raise ValueError(f"{type(value).__name__} where an array should be")
+    return value.array()
+
+
+def _listed(value: Any) -> list[Any]:
+    """flax writes a tuple as {"0": ..., "1": ...}."""
+    return [value[str(i)] for i in range(len(value))] if isinstance(value, Mapping) else list(value)
+
+
+def _mapping(value: Any, name: str, path: Path) -> Mapping[Any, Any]:
+    inner = value.get(name) if isinstance(value, Mapping) else None
+    if not isinstance(inner, Mapping):
+        raise SnergError(f"{path} is not a checkpoint of the SNeRG code: it has no {name}.")
+    return inner
+
+
+def _step(optimizer: Mapping[Any, Any], path: Path) -> int:
+    step = _mapping(optimizer, "state", path).get("step", 0)
+    try:
+        return int(step if isinstance(step, int) else _array(step))
+    except Exception as error:
+        raise SnergError(f"{path} has a damaged step ({error}); copy it again.") from error
+
+
+def _layers(networks: Mapping[Any, Any], network: str, path: Path) -> Trunk:
+    """Dense_0, Dense_1, ... of a network, float32; the error names the tensor (hard case 59)."""
+    layers = []
+    for index in range(len(_mapping(networks, network, path))):
+        name = f"{network}/Dense_{index}"
+        try:
+            packed = networks[network][f"Dense_{index}"]
+            layer = Dense(*(np.array(_array(packed[part]), np.float32) for part in ("kernel", "bias")))
+        except Exception as error:  # a damaged file can put anything anywhere, inner msgpack errors included
+            raise SnergError(f"{path} has no sound {name} ({type(error).__name__}: {str(error)[:100]}); copy it again.") from error
+        if layer.kernel.ndim != 2 or layer.bias.shape != layer.kernel.shape[1:] or 0 in layer.kernel.shape:
+            _misshapen(path, name, f"{layer.kernel.shape} and {layer.bias.shape}")
+        for part, value in layer._asdict().items():
+            if not np.isfinite(value).all():
+                raise SnergError(
+                    f"{path} has values in {name}/{part} that are not finite; its training diverged: use an earlier checkpoint."
+                )
+        layers.append(layer)
+    return tuple(layers)
+
+
+def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpFamily, int]:
+    """(what a trunk is, how many features it has), from the shapes of its tensors."""
+    shapes = [layer.kernel.shape for layer in layers]
+    if len(shapes) < 3:
+        _misshapen(path, name, f"{len(shapes)} layers")
+    (encoded, width), depth = shapes[0], len(shapes) - 2
+    if shapes[-2][1] != 1 and any(columns == 1 for _, columns in shapes[:-2]):
+        raise SnergError(
+            f"{path} is of a NeRF whose colour depends on the direction at every sample, as JAXNeRF and mip-NeRF train it; "
+            "only deferred and diffuse ones can be imported."
+        )
+    if encoded < 3 or (encoded - 3) % 6:
+        _misshapen(path, f"{name}/Dense_0", f"{shapes[0]}, whose rows are no positional encoding")
+    fed = [i for i in range(1, depth) if shapes[i + 1][0] == width + encoded]  # after these layers the encoding is fed in again
+    skip = fed[0] if fed else depth
+    outputs = shapes[-1][1]
+    after = [width + encoded * (i > 0 and i % skip == 0) for i in range(depth)]
+    expected = [(rows, width) for rows in (encoded, *after[:-1])] + [(after[-1], 1), (after[-1], outputs)]
+    for i, (shape, wanted) in enumerate(zip(shapes, expected, strict=True)):
+        if shape != wanted:
+            _misshapen(path, f"{name}/Dense_{i}", f"{shape}, not {wanted}")
+    if not 3 <= outputs <= 3 + FEATURES:
+        _misshapen(path, f"{name}/Dense_{depth + 1}", f"{shapes[-1]}, which is not RGB and up to {FEATURES} features")
+    return MlpFamily(width=width, depth=depth, skip=skip, degrees=(encoded - 3) // 6, density="relu"), outputs - 3
+
+
+def _padded(layers: Trunk) -> Trunk:
+    """The trunk with as many features as a scene has; the view network does not look at those added."""
+    head = layers[-1]
+    more = 3 + FEATURES - head.bias.size
+    return (*layers[:-1], Dense(np.pad(head.kernel, ((0, 0), (0, more))), np.pad(head.bias, (0, more))))
+
+
+def _view_network(layers: Trunk, features: int, name: str, path: Path) -> ViewNetwork:
+    """The network that every scene has, 34 -> 16 -> 16 -> 3, with the numbers of one of that size or smaller.
+
+    Narrower layers are filled up with zeros, which change nothing, and a layer that is missing is the identity, which the
+    ReLU before it makes exact. The reference gives its view network a density as well, that nothing uses.
+    """
+    hidden, head = list(layers[:-2]), layers[-1]
+    shapes = [layer.kernel.shape for layer in (*hidden, head)]
+    (rows, width), extra = shapes[0], 3 + features
+    degrees = (rows - extra - 3) // 6
+    wanted = [(3 + 6 * degrees + extra, width), *[(width, width)] * (len(hidden) - 1), (width, 3)]
+    if shapes != wanted or not (len(hidden) in (1, 2) and width <= SHAPES[1][0] and 0 <= degrees <= VIEW_DEGREES):
+        _misshapen(
+            path, name, f"{' -> '.join(map(str, (rows, *(columns for _, columns in shapes))))}, where 34 -> 16 -> 16 -> 3 is the most"
+        )
+    if len(hidden) == 1:
+        hidden.append(Dense(np.eye(width, dtype=np.float32), np.zeros(width, np.float32)))
+    network = ViewNetwork(*(np.zeros(shape, np.float32) for shape in SHAPES))
+    network.weights_0[_view_rows(degrees, features), :width], network.bias_0[:width] = hidden[0]
+    network.weights_1[:width, :width], network.bias_1[:width] = hidden[1]
+    network.weights_2[:width], network.bias_2[:] = head
+    return network
+
+
+def _view_rows(degrees: int, features: int) -> Sequence[int]:
+    """Of the 34 inputs of a scene's view network, those of a network with fewer degrees or features, in order."""
+    cosines = 3 + 3 * VIEW_DEGREES
+    colour = cosines + 3 * VIEW_DEGREES
+    return [*range(3 + 3 * degrees), *range(cosines, cosines + 3 * degrees), *range(colour, colour + 3 + features)]
+
+
+def _misshapen(path: Path, name: str, what: object) -> NoReturn:
+    raise SnergError(f"{path} is not a checkpoint that SNeRG can take: {name} is {what}.")

@@ -1,0 +1,301 @@
+"""Where along rays to look: the visual hull, the occupancy grid, and packed samples.
+
+All lengths here are in the field's own coordinates: the domain is normalised so that it fits [-1, 1]^3 and a
+density is per unit of that length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.box import Box
+from ..geometry.camera import Camera
+
+CELLS = 128  # of the occupancy grid along an axis
+COARSE_CELLS = 64  # of the first look for the hull
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """x = (p - centre) * scale takes the world to the field's coordinates.
+
+    centre: [3] float64 world; scale: 1 / world units; low, high: [3] float64, the part of the field's
+    coordinates that holds anything.
+    """
+
+    centre: np.ndarray
+    scale: float
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def around(cls, low: np.ndarray, high: np.ndarray) -> Domain:
+        """The domain whose longest side is [-1, 1] on the world's box `low`..`high` [3]."""
+        centre = (low + high) / 2
+        scale = 2 / float((high - low).max())
+        half = (high - low) / 2 * scale
+        return cls(centre, scale, -half, half)
+
+    def from_world(self, points: np.ndarray) -> np.ndarray:
+        """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
+        return ((points - self.centre) * self.scale).astype(np.float32)
+
+    def to_world(self, x: np.ndarray) -> np.ndarray:
+        """[N, 3] float64."""
+        return np.asarray(x, np.float64) / self.scale + self.centre
+
+    def world_box(self) -> Box:
+        """The occupied part as a box in world axes."""
+        return Box.axis_aligned(self.to_world(self.low), self.to_world(self.high))
+
+
+def carve(points: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None], radius: float) -> np.ndarray:
+    """Which world points [N, 3] can hold something: seen by a camera, and outside no silhouette that shows them.
+
+    masks: a camera's silhouette [H, W] bool, or None where its image has no alpha. radius: world units round a
+    point that count with it. A point beyond a picture's edge is not judged by that picture.
+    """
+    alive = np.arange(len(points))
+    seen = np.zeros(len(points), bool)
+    for camera, mask in zip(cameras, masks, strict=True):
+        pixels, depth = camera.project(points[alive])
+        column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
+        inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        seen[alive] |= inside
+        if mask is None:
+            continue
+        spread = dilated(mask, _footprint(camera, depth[inside], radius))
+        gone = inside.copy()
+        gone[inside] = ~spread[row[inside], column[inside]]
+        alive = alive[~gone]
+    result = np.zeros(len(points), bool)
+    result[alive] = True
+    return result & seen
+
+
+def _footprint(camera: Camera, depth: np.ndarray, radius: float) -> int:
+    """Pixels that `radius` covers at the nearest of the depths, at most an eighth of the picture."""
+    if not len(depth):
+        return 1
+    nearest = 1.0 if camera.projection == "orthographic" else max(float(depth.min()), 1e-9)
+    return int(min(np.ceil(max(camera.focal) * radius / nearest) + 1, max(camera.width, camera.height) / 8 + 1))
+
+
+def dilated(mask: np.ndarray, radius: int) -> np.ndarray:
+    """True within `radius` pixels in the maximum norm."""
+    for axis in (0, 1):
+        total = np.cumsum(np.insert(mask, 0, False, axis=axis), axis=axis, dtype=np.int32)
+        size = mask.shape[axis]
+        index = np.arange(size)
+        upper = np.minimum(index + radius + 1, size)
+        lower = np.maximum(index - radius, 0)
+        mask = np.take(total, upper, axis=axis) > np.take(total, lower, axis=axis)
+    return mask
+
+
+def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> tuple[Domain, np.ndarray]:
+    """The tight domain of a capture and which of its occupancy cells can hold something, bool [CELLS^3] z fastest.
+
+    Two looks: a coarse one over the whole box finds how far the silhouettes reach, a fine one fills the cells.
+    An empty hull (silhouettes that do not agree) falls back to the whole box.
+    """
+    corners = box.corners()
+    whole = Domain.around(corners.min(axis=0), corners.max(axis=0))
+    coarse = cells_alive(whole, COARSE_CELLS, box, cameras, masks)
+    if not coarse.any():
+        return whole, np.ones(CELLS**3, bool)
+    where = np.argwhere(coarse.reshape((COARSE_CELLS,) * 3))
+    size = 2 / COARSE_CELLS
+    low = np.maximum(where.min(axis=0) * size - 1 - size / 2, whole.low)
+    high = np.minimum((where.max(axis=0) + 1) * size - 1 + size / 2, whole.high)
+    tight = Domain.around(whole.to_world(low), whole.to_world(high))
+    alive = cells_alive(tight, CELLS, box, cameras, masks)
+    return tight, alive if alive.any() else np.ones(CELLS**3, bool)
+
+
+def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray:
+    """bool [cells^3]: cells of [-1, 1]^3 inside the box and the hull."""
+    x = cell_centres(cells)
+    margin = 1.0 / cells
+    near = ((x >= domain.low - margin) & (x <= domain.high + margin)).all(axis=-1)
+    alive = np.zeros(cells**3, bool)
+    candidates = np.flatnonzero(near)
+    world = domain.to_world(x[candidates])
+    radius = np.sqrt(3) / cells / domain.scale
+    grown = Box(box.box_to_world, box.size + 2 * radius)
+    held = grown.contains(world)
+    alive[candidates[held]] = carve(world[held], cameras, masks, radius)
+    return alive
+
+
+def cell_centres(cells: int) -> np.ndarray:
+    """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
+    axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def estimates(value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """A copy of a training's estimates as its state holds them: float32, not negative, infinite where nobody looked. Raises ValueError."""
+    if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
+        raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
+    return value.copy()
+
+
+class Occupancy:
+    """Which cells hold something, as far as the field has learned.
+
+    cells: those not given up. most: float32 [CELLS^3], a running upper estimate of the density in a cell, infinite where
+    nobody has looked yet, 0 in cells given up.
+    """
+
+    def __init__(self, most: np.ndarray) -> None:
+        self.most = most
+        self.cells = np.flatnonzero(most > 0)
+
+    @classmethod
+    def of_hull(cls, alive: np.ndarray) -> Occupancy:
+        """All that the hull allows, bool [CELLS^3], may hold something."""
+        return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
+
+    def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
+        """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N]."""
+        cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
+        found = query(self.points_in(cells, rng))
+        most = self.most[cells]
+        self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.8 * most + 0.2 * found))
+
+    def prune(self, threshold: float) -> None:
+        """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
+        whatever the field comes to hold there would be garbage."""
+        given_up = self.cells[self.most[self.cells] <= threshold]
+        self.most[given_up] = 0
+        self.cells = np.flatnonzero(self.most > 0)
+
+    @staticmethod
+    def points_in(cells: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """A random point [N, 3] float32 in each of the cells [N]."""
+        index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
+        return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
+
+    @property
+    def occupied(self) -> np.ndarray:
+        """bool [CELLS^3]."""
+        return self.most > 0
+
+
+def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [N] at which rays (field coordinates, unit directions) enter and leave the domain; leave <= enter is a miss."""
+    safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
+    first = (domain.low - origins) / safe
+    second = (domain.high - origins) / safe
+    enter = np.maximum(np.minimum(first, second).max(axis=-1), near)
+    return enter, np.maximum(first, second).min(axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
+    distance [N] along the ray. cut: [R] bool, rays that were told to end before they leave the domain."""
+
+    points: np.ndarray
+    ray: np.ndarray
+    length: float
+    distance: np.ndarray
+    cut: np.ndarray
+
+
+def pack_samples(
+    domain: Domain,
+    occupied: np.ndarray,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    length: float,
+    offset: np.ndarray,
+    near: float | np.ndarray = 0.0,
+    far: float | np.ndarray = np.inf,
+    until: float | np.ndarray = np.inf,
+) -> Samples:
+    """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
+
+    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts. near, far: distances between
+    which a ray sees. until: distance at which it need not look any further.
+    """
+    enter, leave = clip_rays(domain, origins, directions, near)
+    leave = np.minimum(leave, far)
+    cut = until < leave
+    leave = np.minimum(leave, until)
+    counts = np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64)
+    ray, step = coarse_steps(occupied, origins, directions, enter, length, offset, counts)
+    distance = (enter[ray] + (step + offset[ray]) * length).astype(np.float32)
+    points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * distance[:, None]
+    full = np.flatnonzero(occupied[cell_index(points)])
+    return Samples(points[full], ray[full], length, distance[full], cut)
+
+
+BLOCK = 8  # steps that one look at the coarse level decides on
+
+
+def coarse_steps(
+    occupied: np.ndarray,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    enter: np.ndarray,
+    length: float,
+    offset: np.ndarray,
+    counts: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(ray, step) of every step that a coarser occupancy does not rule out, in order along each ray."""
+    span = BLOCK * length
+    blocks = -(-counts // BLOCK)
+    ray = np.repeat(np.arange(len(counts)), blocks)
+    first = np.cumsum(blocks) - blocks
+    block = np.arange(len(ray)) - first[ray]
+    middle = enter[ray] + (offset[ray] + (BLOCK - 1) / 2) * length + block * span
+    points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * middle[:, None].astype(np.float32)
+    coarse, factor = coarser(occupied, span)
+    index = ((points + 1) * np.float32(CELLS // factor / 2)).astype(np.int32).clip(0, CELLS // factor - 1)
+    size = CELLS // factor
+    keep = np.flatnonzero(coarse[(index[:, 0] * size + index[:, 1]) * size + index[:, 2]])
+    ray = np.repeat(ray[keep], BLOCK)
+    step = (block[keep, None] * BLOCK + np.arange(BLOCK)).reshape(-1)
+    inside = step < counts[ray]
+    return ray[inside], step[inside]
+
+
+_coarser: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
+
+
+def coarser(occupied: np.ndarray, span: float) -> tuple[np.ndarray, int]:
+    """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+
+    The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
+    """
+    factor = 1
+    while factor < 8 and 8 * factor / CELLS <= span:  # a cell is 2 / CELLS wide, and at most a quarter of the stretch
+        factor *= 2
+    reach = int(np.ceil(span / 2 * CELLS / (2 * factor)))
+    key = (id(occupied), reach, factor)
+    kept = _coarser.get(key)
+    if kept is None or kept[0] is not occupied:
+        size = CELLS // factor
+        coarse = occupied.reshape(size, factor, size, factor, size, factor).any(axis=(1, 3, 5))
+        for axis in range(3):
+            for _ in range(reach):
+                wide = coarse.copy()
+                ahead, back = [slice(None)] * 3, [slice(None)] * 3
+                ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+                wide[tuple(back)] |= coarse[tuple(ahead)]
+                wide[tuple(ahead)] |= coarse[tuple(back)]
+                coarse = wide
+        _coarser.clear()
+        kept = _coarser[key] = (occupied, coarse.reshape(-1))
+    return kept[1], factor
+
+
+def cell_index(points: np.ndarray) -> np.ndarray:
+    """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
+    index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
+    return (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]

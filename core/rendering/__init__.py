@@ -1,0 +1,1 @@
+"""Marching rays through a baked scene, with NumPy alone."""

@@ -1,0 +1,154 @@
+"""What the marcher looks up: voxels as words, where a block's cell begins, and how far the nearest thing is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
+from ..scene.scene import Snerg
+
+BRICK = 6  # voxels along a brick, by which the way through empty space is measured; five of them make a block's own 30
+BRICKS = DATA_VOXELS // BRICK
+MAX_SKIP = 6  # voxels that one jump inside a brick can pass
+STRIDES = (CELL_VOXELS**2, CELL_VOXELS, 1)  # words from a voxel to its neighbours along x, y, z
+
+
+@dataclass(frozen=True, eq=False)
+class Tables:
+    """What a march looks up. A tent is the reach of trilinear interpolation between 8 voxels; tent (i, j, k) has its lowest corner
+    in voxel (i, j, k) of a cell.
+
+    voxels: a word of C bytes a voxel [M * 32^3], or its C floats [M * 32^3, C]. unit: what a value of 1 is stored as.
+    brick_base: int64, word of the voxel that (0, 0, 0) of the whole grid would be in a brick's cell, anything where there is none.
+    brick_distance: uint8, Chebyshev distance in bricks to the nearest of whose tents one holds something, 0 in those.
+    Bricks are numbered x, y, z, z fastest; `bricks` is how many along each axis, one more than the blocks have, which repeats
+    the last: the outer face of the grid belongs to it, and rounding must not push a sample out of its block.
+    voxel_skip: uint8 [M * 32^3] Chebyshev distance in voxels to the nearest tent that holds something within the cell, and at most
+    that to the first tent that it shares with a neighbour; 0 where the tent itself holds something.
+    """
+
+    voxels: np.ndarray
+    channels: int
+    unit: float
+    brick_base: np.ndarray
+    brick_distance: np.ndarray
+    bricks: tuple[int, int, int]
+    voxel_skip: np.ndarray
+
+
+_tables: WeakKeyDictionary[Snerg, Tables] = WeakKeyDictionary()
+
+
+def tables_of(snerg: Snerg) -> Tables:
+    """The look-up tables of a scene, made once."""
+    tables = _tables.get(snerg)
+    if tables is None:
+        tables = _tables[snerg] = make_tables(snerg)
+    return tables
+
+
+def make_tables(snerg: Snerg) -> Tables:
+    """See `Tables`."""
+    cells = snerg.cells if len(snerg.cells) else np.zeros((1, *snerg.cells.shape[1:]), snerg.cells.dtype)
+    channels, flat = cells.shape[-1], np.ascontiguousarray(cells).reshape(-1, cells.shape[-1])
+    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if snerg.quantised else flat
+    tents = tent_bits((voxels != 0 if snerg.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
+    occupied, base = _bricks(snerg.indirection, tents)
+    x, y, z = occupied.shape
+    return Tables(
+        voxels=voxels,
+        channels=channels,
+        unit=snerg.unit,
+        brick_base=base.reshape(-1),
+        brick_distance=chebyshev(occupied, 255).reshape(-1),
+        bricks=(x, y, z),
+        voxel_skip=_voxel_skip(tents),
+    )
+
+
+def tent_bits(full: np.ndarray) -> np.ndarray:
+    """bool voxels [M, 32, 32, 32] to tents that hold something, uint32 [M, 32, 32] with z in the bits (z = 0 the lowest).
+
+    Tents past the cell's last voxel (index 31) are only as full as what of them is in the cell; no sample reaches them.
+    """
+    bits = np.packbits(full, axis=-1, bitorder="little").view("<u4")[..., 0].astype(np.uint32)
+    bits |= bits >> np.uint32(1)
+    bits[:, :, :-1] |= bits[:, :, 1:]
+    bits[:, :-1] |= bits[:, 1:]
+    return bits
+
+
+def _bricks(indirection: np.ndarray, tents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Tables`)."""
+    masks = np.array([((1 << (BRICK + 1)) - 1) << (BRICK * i) for i in range(BRICKS)], np.uint32)
+    found = (tents[..., None] & masks) != 0  # along z already by bricks: samples of brick i touch tents 6 i to 6 i + 6
+    for axis in (1, 2):
+        parts = [slice(BRICK * i, BRICK * i + BRICK + 1) for i in range(BRICKS)]
+        found = np.stack([found[(slice(None),) * axis + (part,)].any(axis=axis) for part in parts], axis=axis)
+    shape = indirection.shape
+    occupied = np.zeros((*shape, BRICKS, BRICKS, BRICKS), bool)
+    full = indirection >= 0
+    occupied[full] = found[indirection[full]]
+    occupied = occupied.transpose(0, 3, 1, 4, 2, 5).reshape(*(n * BRICKS for n in shape))
+    corner = np.tensordot(np.indices(shape), np.array(STRIDES) * DATA_VOXELS, axes=(0, 0))
+    base = np.maximum(indirection, 0).astype(np.int64) * CELL_VOXELS**3 - corner
+    for axis in range(3):
+        base = base.repeat(BRICKS, axis=axis)
+    return np.pad(occupied, (0, 1), mode="edge"), np.pad(base, (0, 1), mode="edge")
+
+
+def _voxel_skip(tents: np.ndarray) -> np.ndarray:
+    """See `Tables`; at least 1 where nothing is, at most MAX_SKIP."""
+    skip = np.zeros((len(tents), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
+    reached = tents.copy()
+    for distance in range(MAX_SKIP):
+        if distance:
+            reached = _spread(reached, distance)
+        empty = np.unpackbits((~reached).astype("<u4").view(np.uint8).reshape(len(tents), CELL_VOXELS, -1), axis=-1, bitorder="little")
+        skip += empty.reshape(skip.shape)
+    return skip.reshape(-1)
+
+
+def _spread(bits: np.ndarray, distance: int) -> np.ndarray:
+    """Tents [M, 32, 32] grown by one on each side, z in the bits. The block's neighbours may hold anything, and share its tents 0 and
+    30, so that those count as reached, and all that are `distance` away from them."""
+    bits = bits | (bits << np.uint32(1)) | (bits >> np.uint32(1))
+    wide = bits.copy()
+    wide[:, :, 1:] |= bits[:, :, :-1]
+    wide[:, :, :-1] |= bits[:, :, 1:]
+    bits = wide.copy()
+    bits[:, 1:] |= wide[:, :-1]
+    bits[:, :-1] |= wide[:, 1:]
+    low, high = distance, DATA_VOXELS - distance  # up to where and from where the border has been reached
+    bits |= np.uint32((1 << low + 1) - 1 | (0xFFFFFFFF << high) & 0xFFFFFFFF)
+    bits[:, :, : low + 1] = bits[:, :, high:] = 0xFFFFFFFF
+    bits[:, : low + 1] = bits[:, high:] = 0xFFFFFFFF
+    return bits
+
+
+def chebyshev(occupied: np.ndarray, most: int) -> np.ndarray:
+    """Distance to the nearest True in the maximum norm, uint8, at most `most`."""
+    if not occupied.any():
+        return np.full(occupied.shape, min(most, 255), np.uint8)
+    distance = np.where(occupied, 0, 1).astype(np.uint8)
+    reached = occupied.copy()
+    for _ in range(1, min(most, 255)):
+        if reached.all():
+            break
+        for axis in range(reached.ndim):
+            reached = _wider(reached, axis)
+        distance += ~reached
+    return distance
+
+
+def _wider(mask: np.ndarray, axis: int) -> np.ndarray:
+    """True also where a neighbour along the axis is."""
+    wide = mask.copy()
+    ahead, back = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim
+    ahead[axis], back[axis] = slice(1, None), slice(None, -1)
+    wide[tuple(back)] |= mask[tuple(ahead)]
+    wide[tuple(ahead)] |= mask[tuple(back)]
+    return wide

@@ -1,0 +1,197 @@
+"""The marcher: a baked scene and a camera to colour, alpha and depth, with NumPy alone (section 5.2).
+
+One lattice of samples a ray, t_start + 0.5 + k voxels: skipping only ever moves to a later integer k, so the
+picture is the one that a dense march gives (hard case 33). What is skipped is known to be zero: bundles of rays pass
+through empty bricks together (approach.py), rays one by one through bricks and voxels that hold nothing (walk.py).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.camera import Camera
+from ..geometry.ndc import world_distance
+from ..nerf.frame import Composited, Frame, residual, shade
+from ..progress import Progress, silent, within
+from ..scene.scene import Snerg
+from .acceleration import tables_of
+from .early_termination import stop_for
+from .packet_traversal import BUNDLE, approach, enter
+from .ray_marcher import Gathered, Walk
+from .ray_queue import Rays, Supply
+
+BUNDLED = 2**17  # rays whose way through empty space is found together: few steps of many bundles
+# Rays that are made, or shaded, together, and those whose colours the network is asked for in one product. BLAS would take threads of its
+# own for more, and keep them waiting in a loop for the next product while the marcher's own want the processor.
+SHARE = 16384
+TILE = 8  # pixels along the side of a tile, whose rays are one bundle
+TICK_SECONDS = 0.03  # between two calls of `progress`
+INVISIBLE = 0.5 / 255  # a tolerance: half a level of a picture of 8 bits
+FIRST = 4  # how many times smaller, each way, the first picture is
+
+
+@dataclass(frozen=True)
+class MarchSettings:
+    """tolerance: the largest error allowed in a displayed value, 0 to 1; what follows from it is derived in tolerance.py.
+    stop_transmittance: if given, a ray ends when less than this passes, whatever the tolerance.
+    per_sample_network: view dependence at every sample instead of once a pixel, to compare with (table 1 of the paper).
+
+    batch: rays marched together (what fits the caches), new ones taken in as others end. threads: such batches at a time.
+    skip: jump over what is empty; the picture is the same without, only later.
+    """
+
+    tolerance: float = 1e-4
+    stop_transmittance: float | None = None
+    per_sample_network: bool = False
+    batch: int = 24576
+    threads: int = 2
+    skip: bool = True
+
+
+def march(
+    snerg: Snerg,
+    camera: Camera,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = silent,
+) -> Frame:
+    """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few tenths of a second."""
+    pixels, near = tiled(camera.width, camera.height), max(snerg.near, camera.near)
+    found = _march(snerg, lambda some: camera.rays(pixels[some]), len(pixels), settings, progress, near)
+    colour, alpha = found.colour, 1 - found.transmittance
+    depth = np.where(alpha > 0, found.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
+
+    def finish(some: slice) -> None:
+        seen = some.start + np.flatnonzero(alpha[some] > 0)
+        origins, directions = camera.rays(pixels[seen])
+        depth[seen] = world_distance(snerg.ndc, origins, directions, depth[seen], near)
+        if not settings.per_sample_network:
+            colour[seen] = shade(snerg.network, found.part(seen), directions @ snerg.view_rotation.T)
+
+    if snerg.network is not None or snerg.ndc is not None:
+        with ThreadPoolExecutor(settings.threads) as pool:
+            list(pool.map(finish, _shares(0, len(pixels), SHARE)))
+    picture = [np.empty((camera.height, camera.width, *values.shape[1:]), np.float32) for values in (colour, alpha, depth)]
+    for whole, values in zip(picture, (colour, alpha, depth), strict=True):
+        whole[pixels[:, 1], pixels[:, 0]] = values
+    return Frame(*picture)
+
+
+def progressive(
+    snerg: Snerg,
+    camera: Camera,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = silent,
+) -> Iterator[Frame]:
+    """First a picture of a quarter of the width and height, then the whole one. `progress` as in `march`, over both."""
+    small = camera.resized(-(-camera.width // FIRST), -(-camera.height // FIRST))
+    share = 1 / (1 + FIRST**2)
+    yield march(snerg, small, settings, within(progress, 0, share))
+    yield march(snerg, camera, settings, within(progress, share, 1))
+
+
+def tiled(width: int, height: int) -> np.ndarray:
+    """[N, 2] (column, row) of all pixels, tile by tile; tiles that reach past the picture's edge repeat the pixels there."""
+    across, down = (np.minimum(np.arange(-(-size // TILE) * TILE), size - 1).reshape(-1, TILE) for size in (width, height))
+    row, column = np.broadcast_arrays(down[:, None, :, None], across[None, :, None, :])
+    return np.stack([column.reshape(-1), row.reshape(-1)], axis=-1)
+
+
+def march_rays(
+    snerg: Snerg,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = silent,
+    near: float = 0.0,
+    visited: np.ndarray | None = None,
+) -> Composited:
+    """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6).
+
+    Quickest where every 64 rays that follow one another are close together. near: world units along the ray. visited: bool
+    [M * 32^3], set where a sample was taken in a voxel (always in a block's own part of its cell).
+    """
+    return _march(snerg, lambda some: (origins[some], directions[some]), len(origins), settings, progress, near, visited)
+
+
+def _march(
+    snerg: Snerg,
+    rays: Callable[[slice], tuple[np.ndarray, np.ndarray]],
+    count: int,
+    settings: MarchSettings,
+    progress: Progress,
+    near: float,
+    visited: np.ndarray | None = None,
+) -> Composited:
+    """`march_rays` of rays that are made when their turn comes."""
+    tables = tables_of(snerg)
+    into = Gathered(np.zeros((count, tables.channels), np.float32), np.ones(count, np.float32))
+    begins = np.zeros(count, np.float32)
+    sampled = snerg.network is not None and settings.per_sample_network
+    views = np.empty((count if sampled else 0, 3), np.float32)
+
+    def entered(some: slice) -> tuple[np.ndarray, ...]:
+        origins, directions = rays(some)
+        if sampled:
+            views[some] = directions @ snerg.view_rotation.T
+        return enter(snerg, origins, directions, near)
+
+    def make(some: slice) -> Rays:
+        parts = [entered(part) for part in _shares(some.start, some.stop, SHARE)]
+        entry, direction, start, stop = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
+        begins[some] = start
+        return approach(tables, entry, direction, start, stop, settings.skip, some.start)
+
+    def shaded(colour: np.ndarray, features: np.ndarray, index: np.ndarray) -> np.ndarray:
+        assert snerg.network is not None
+        return residual(snerg.network, colour, features, views[index])
+
+    light = settings.stop_transmittance
+    if light is None:
+        light = stop_for(settings.tolerance, snerg, settings.per_sample_network)
+
+    bundled = min(BUNDLED, max(-(-count // (settings.threads * BUNDLE)), 1) * BUNDLE)
+    supply = Supply(make, _shares(0, count, bundled), settings.threads)
+
+    def work(cancelled: Callable[[], bool]) -> None:
+        Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
+
+    _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
+    depth = into.values[:, -1] + (1 - into.through) * begins
+    depth *= np.float32(snerg.voxel_size)
+    found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)
+    return filled(found) if snerg.fill_holes else found
+
+
+def _shares(first: int, last: int, most: int) -> list[slice]:
+    return [slice(start, min(start + most, last)) for start in range(first, last, most)]
+
+
+def _together(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:
+    """Do `work` in several threads; `tell` is called now and then, at least once, in this one. Whatever one of them raises ends all."""
+    stopped = threading.Event()
+    with ThreadPoolExecutor(threads) as pool:
+        running = {pool.submit(work, stopped.is_set) for _ in range(threads)}
+        try:
+            while running:
+                done, running = wait(running, TICK_SECONDS)
+                for one in done:
+                    one.result()
+                tell()
+        finally:
+            stopped.set()
+
+
+def filled(rays: Composited) -> Composited:
+    """Rays up to 1.5 times as opaque, all of what they gather with them (eq. 9): baking lets a little light through surfaces.
+
+    The factor is written so that it is finite at alpha 0 and continuous at 2/3, above which a ray is opaque (hard case 53).
+    """
+    alpha = 1 - rays.transmittance
+    factor = np.where(alpha < 2 / 3, 1.5, 1 / np.maximum(alpha, 2 / 3)).astype(np.float32)
+    through = np.maximum(1 - factor * alpha, 0)
+    return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor, rays.samples)

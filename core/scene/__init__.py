@@ -1,0 +1,1 @@
+"""The baked scene (SNeRG): block-sparse voxels and a small network."""

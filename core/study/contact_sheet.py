@@ -1,0 +1,41 @@
+"""Pictures for people to compare. NumPy and Pillow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ..io.images import to_uint8
+
+GAP, LABEL = 6, 22  # pixels
+PAPER, INK = (38, 38, 42), (235, 235, 235)
+GAIN = 10
+
+
+def error_picture(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Ten times the difference of two pictures, cut off at 1."""
+    return np.clip(GAIN * np.abs(a - b), 0, 1)
+
+
+def contact_sheet(rows: Sequence[tuple[str, Sequence[np.ndarray]]], titles: Sequence[str], most: int = 10**6) -> np.ndarray:
+    """uint8 [H, W, 3]: a row of pictures [h, w, 3] in [0, 1] for each (name, pictures), titled; none wider than `most` pixels."""
+    shown = [(name, [_fitted(picture, most) for picture in pictures]) for name, pictures in rows]
+    width = max((picture.width for _, pictures in shown for picture in pictures), default=1)
+    tops = np.cumsum([GAP] + [pictures[0].height + LABEL + GAP for _, pictures in shown])
+    sheet = Image.new("RGB", (len(titles) * (width + GAP) + GAP, int(tops[-1])), PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
+    for top, (name, pictures) in zip(tops.tolist(), shown, strict=False):
+        for column, (title, picture) in enumerate(zip(titles, pictures, strict=True)):
+            left = GAP + column * (width + GAP)
+            sheet.paste(picture, (left, top + LABEL))
+            draw.text((left + 2, top + 2), f"{name}  {title}" if column == 0 else title, INK, font)
+    return np.asarray(sheet)
+
+
+def _fitted(picture: np.ndarray, most: int) -> Image.Image:
+    image = Image.fromarray(to_uint8(picture))
+    if image.width <= most:
+        return image
+    return image.resize((most, max(1, round(image.height * most / image.width))), Image.Resampling.BOX)

@@ -1,0 +1,196 @@
+"""How good a field or a baked scene is, measured on photographs that training did not see."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..artifact import Result, any_field, any_scene, kind_of
+from ..data.dataset import Dataset, DatasetOptions
+from ..data.load import read_dataset
+from ..errors import SnergError, needs_jax
+from ..geometry.camera import Camera
+from ..io.files import check_replaceable, json_bytes, new_folder
+from ..io.images import over, png_bytes, to_uint8
+from ..io.lock import writes_out
+from ..nerf.frame import Frame
+from ..progress import Progress, silent, within
+from ..rendering.acceleration import tables_of
+from ..rendering.render import MarchSettings, march
+from ..scene.scene import Snerg
+from ..training.provenance import background_of, options_of, trained
+from .contact_sheet import contact_sheet, error_picture
+from .metrics import mean_psnr, mse, psnr_of, ssim
+
+SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
+SHEET_PIXELS = 480  # width of a picture on it
+USUAL = MarchSettings()
+COLUMNS = ("truth", "rendered", "error x 10")
+
+
+@writes_out("an evaluation")
+def evaluate(
+    target: Path,
+    dataset: Path | None = None,
+    split: str | None = None,
+    holdout: int | None = None,
+    downscale: int | None = None,
+    out: Path | None = None,
+    progress: Progress = silent,
+    settings: MarchSettings = USUAL,
+) -> Result:
+    """Quality of a field or a scene on views of a dataset: PSNR of the mean error, mean SSIM, seconds a view.
+
+    What is not given is as in training: the dataset (of a field), which views were held out, the downscale factor and the
+    background behind the images' alpha. split: 'test' where there is one, else 'val'. out: a folder for every picture and a
+    contact sheet with the truth beside them. Pixels that the dataset's masks hide do not count. PSNR is None when every pixel
+    agrees. settings: of a scene's march. Raises SnergError when `target` is neither, or the dataset is unusable, or there are
+    settings for a field.
+    """
+    subject = open_target(target, settings)
+    if dataset is None and not subject.dataset:
+        raise SnergError(f"{target} does not say what it was trained on; give the dataset to measure it on.")
+    source = Path(dataset or subject.dataset)
+    if out is not None:
+        check_replaceable(out.absolute())
+    options = DatasetOptions(
+        subject.options.holdout if holdout is None else holdout, subject.options.downscale if downscale is None else downscale
+    )
+    views = read_dataset(source, split, options) if split else held_out(source, options)
+    score = Score()
+    if out is None:
+        _measure(subject, views, score, None, progress)
+    else:
+        with new_folder(out) as folder:
+            sheet = _measure(subject, views, score, folder, progress)
+            (folder / "contact.png").write_bytes(png_bytes(sheet))
+            (folder / "views.json").write_bytes(json_bytes(score.views()))
+    where = {"out": str(out)} if out is not None else {}
+    measured = {"split": views.split, "holdout": options.holdout, "downscale": options.downscale}
+    return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **score.result(), **where}
+
+
+def held_out(path: Path, options: DatasetOptions) -> Dataset:
+    """The views that training does not see: the 'test' split, else 'val'. Raises SnergError where there is neither."""
+    train = read_dataset(path, "train", options)
+    for split in ("test", "val"):
+        if split in train.splits():
+            return read_dataset(path, split, options)
+    raise SnergError(f"{path} has no views that training did not see; hold some out, or measure on --split train.")
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is measured. kind: 'field' or 'scene'; render: a camera to its picture; background: as in training, RGB in [0, 1].
+
+    dataset: the folder it was trained on, '' where it does not say; options: how that was read.
+    """
+
+    kind: str
+    render: Callable[[Camera, Progress], Frame]
+    background: tuple[float, float, float]
+    dataset: str
+    options: DatasetOptions
+
+
+def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
+    """Read a field, a checkpoint or a scene. Raises SnergError when `path` is none of them, or not what the settings are for."""
+    kind = kind_of(path)
+    if kind in ("field", "checkpoint"):
+        if settings != USUAL:
+            raise SnergError(f"{path} is a {kind}, which is not marched; bake it first to measure with such settings of the march.")
+        with needs_jax():
+            import jax  # noqa: F401  # evaluating a field compiles it
+
+            from ..nerf.render import render_field
+        field = any_field(path)
+        known = trained(field.about)
+        return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
+    if kind in ("scene", "reference scene", "page"):
+        snerg = ready_scene(path, settings)
+        return Target(
+            "scene", lambda camera, progress: march(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
+        )
+    raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
+
+
+def ready_scene(path: Path, settings: MarchSettings) -> Snerg:
+    """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
+    one that the settings ask for a network at every sample."""
+    snerg = any_scene(path)
+    if settings.per_sample_network and snerg.network is None:
+        raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
+    tables_of(snerg)
+    return snerg
+
+
+def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, float], str, DatasetOptions]:
+    return background_of(known), dataset, options_of(known)
+
+
+def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> np.ndarray:
+    """Render and score every view; with a folder, keep each picture there. Returns the contact sheet."""
+    count, rows = len(views.views), []
+    shown = set(np.linspace(0, count - 1, min(count, SHEET_VIEWS)).round().astype(int).tolist())
+    for index, camera in enumerate(views.cameras):
+        began = time.perf_counter()
+        frame = subject.render(camera, within(progress, index / count, (index + 1) / count))
+        seconds = time.perf_counter() - began
+        picture, truth = frame.over(subject.background), over(views.read(index), subject.background)
+        score.add(picture, truth, seconds, views.mask(index), camera.name)
+        if folder is not None:
+            (folder / f"{index:03d}.png").write_bytes(png_bytes(to_uint8(picture)))
+            if index in shown:
+                rows.append((f"{index:03d} {camera.name}  {score.last()}", [truth, picture, error_picture(truth, picture)]))
+        progress((index + 1) / count, f"View {index + 1} of {count}: {score.text()}")
+    return contact_sheet(rows, COLUMNS, SHEET_PIXELS) if rows else np.zeros((1, 1, 3), np.uint8)
+
+
+class Score:
+    """Errors of the views seen so far."""
+
+    def __init__(self) -> None:
+        self.errors: list[float] = []
+        self.likeness: list[float] = []
+        self.seconds: list[float] = []
+        self.names: list[str] = []
+
+    def add(self, picture: np.ndarray, truth: np.ndarray, seconds: float = 0.0, mask: np.ndarray | None = None, name: str = "") -> None:
+        """A view [H, W, 3] and what it should be; mask: [H, W] bool, the pixels that count."""
+        self.errors.append(mse(picture, truth, mask))
+        self.likeness.append(ssim(picture, truth, mask))
+        self.seconds.append(seconds)
+        self.names.append(name)
+
+    def result(self) -> Result:
+        """{"psnr", "ssim", "seconds_per_view", "views"}; psnr is None where it is infinite (hard case 30)."""
+        decibels = mean_psnr(self.errors)
+        return {
+            "psnr": round(decibels, 4) if math.isfinite(decibels) else None,
+            "ssim": round(float(np.mean(self.likeness)), 5),
+            "seconds_per_view": round(float(np.mean(self.seconds)), 4),
+            "views": len(self.errors),
+        }
+
+    def views(self) -> list[Result]:
+        """{"name", "psnr", "ssim"} of each view."""
+        rows = zip(self.names, self.errors, self.likeness, strict=True)
+        return [{"name": n, "psnr": round(psnr_of(e), 3) if e else None, "ssim": round(s, 5)} for n, e, s in rows]
+
+    def text(self) -> str:
+        """For a progress line."""
+        return _decibels(mean_psnr(self.errors))
+
+    def last(self) -> str:
+        """Of the view added last."""
+        return f"{_decibels(mean_psnr(self.errors[-1:]))}, SSIM {self.likeness[-1]:.3f}"
+
+
+def _decibels(value: float) -> str:
+    return f"{value:.2f} dB" if math.isfinite(value) else "identical"

@@ -1,0 +1,225 @@
+"""Which effects a scene calls for, decided by measurement of its images and cameras. What depends on training is in trial.py."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import SnergError
+from ..geometry.box import Box
+from ..geometry.camera import Camera
+from ..geometry.ndc import Ndc
+from ..nerf.sampling import CELLS, Domain, carve, cell_centres, clip_rays, pack_samples
+from .config import TrainSettings
+
+TRANSPARENT = 0.001  # share of pixels that are not opaque, from which alpha says something of the scene
+FACING = 35.0  # degrees between the cameras' mean axis and theirs, up to which a scene is forward-facing (LLFF: 20 and less)
+PLAIN = 0.5  # share of the images' borders that have the background's colour, from which that is a backdrop
+DEEP = 2.0  # farthest / nearest, from which device coordinates spend samples better than the world's
+NEARER = 0.9  # of the nearest depth: where the near plane stands
+WIDEST = 3.0  # device coordinates are cut off there, in units of half a picture
+RANGE = 6.0  # farthest / nearest along a ray, from which distances in disparity serve better
+
+
+@dataclass(frozen=True)
+class Decision:
+    """effect: what it is about; chosen: what training does; evidence: a sentence with the numbers; measured against threshold
+    (None where nothing was measured); overridden: the settings said so, and the evidence is only told."""
+
+    effect: str
+    chosen: bool | str
+    evidence: str
+    measured: float | None = None
+    threshold: float | None = None
+    overridden: bool = False
+
+    def text(self) -> str:
+        """For a progress line: 'NDC: no. The cameras ...'."""
+        chosen = ("yes" if self.chosen else "no") if isinstance(self.chosen, bool) else self.chosen
+        return f"{self.effect}: {chosen}{', as the settings say' if self.overridden else ''}. {self.evidence}"
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON values."""
+        return asdict(self)
+
+
+def decided(
+    effect: str, setting: str, measured: bool, evidence: str, value: float | None = None, threshold: float | None = None
+) -> Decision:
+    """A decision that a setting of 'on' or 'off' overrides."""
+    chosen = measured if setting == "auto" else setting == "on"
+    return Decision(effect, chosen, evidence, value, threshold, setting != "auto")
+
+
+def transparency(setting: str, pixels: np.ndarray, has_alpha: bool) -> Decision:
+    """Whether the images' alpha says where the scene is. pixels: [N, 4] uint8; has_alpha: whether every image has it.
+
+    Raises SnergError when the settings want alpha that there is not.
+    """
+    if not has_alpha:
+        if setting == "on":
+            raise SnergError("The settings want transparency, but not every image has an alpha channel that varies; set it to auto or off.")
+        return decided("Alpha", setting, False, "The images have no alpha channel, or one that is opaque everywhere.", 0.0, TRANSPARENT)
+    share = float((pixels[:, 3] < 255).mean())
+    evidence = f"{100 * share:.2f} % of the pixels are not opaque (from {100 * TRANSPARENT:g} % on, alpha carves the hull and is learned)."
+    return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
+
+
+def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:
+    """Whether opaque images show the scene before a plain backdrop of the background's colour, so that its outline carves the hull.
+
+    shares: of each image's border, how much has just that colour; none where the background is no one colour. alpha: whether
+    it says already where the scene is.
+    """
+    if alpha or not shares:
+        why = "Alpha says where the scene is." if alpha else "The background is no one colour."
+        return Decision("Backdrop", False, why, None, PLAIN, setting != "auto")
+    share = float(np.mean(shares))
+    carves = f"from {100 * PLAIN:.0f} % on, what hangs together with them carves the hull"
+    evidence = f"{100 * share:.0f} % of the images' borders are just {colour} ({carves})."
+    return decided("Backdrop", setting, share >= PLAIN, evidence, share, PLAIN)
+
+
+def forward_facing(
+    setting: str,
+    cameras: Sequence[Camera],
+    points: np.ndarray | None,
+    bounds: np.ndarray | None,
+    alpha: bool,
+) -> tuple[Decision, Ndc | None]:
+    """Whether normalised device coordinates suit the capture, and which.
+
+    points: [N, 3] world, what the source knows of the scene's surface, or None; bounds: [views, 2] nearest and farthest depth,
+    world units, or None. alpha: whether it cuts the scene out of its background. Raises SnergError when the settings want NDC
+    that these cameras cannot have.
+    """
+    frame = mean_frame(cameras)
+    axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
+    angle = float(np.degrees(np.arccos(np.clip(axes @ -frame[:3, 2], -1, 1).min())))
+    near, far = _depths(frame, cameras, points, bounds)
+    told = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
+    reasons = []
+    if any(c.projection != "perspective" for c in cameras):
+        reasons.append("some are orthographic")
+    if angle > FACING:
+        reasons.append("they look at it from around")
+    elif near is None or far is None:
+        reasons.append("the source does not say how near and far the scene is")
+    elif near <= 0:
+        reasons.append("no plane in front of all cameras has the whole scene behind it")
+    impossible = bool(reasons)
+    if near is not None and far is not None and near > 0:
+        told += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
+        if far / near < DEEP:
+            reasons.append("it is not deep")
+    if alpha:
+        reasons.append("alpha cuts it out of its background")
+    evidence = told + (f"; {' and '.join(reasons)}." if reasons else ".")
+    if setting == "on" and impossible:
+        raise SnergError(f"These cameras cannot have normalised device coordinates: {reasons[0]}; set ndc to auto or off.")
+    decision = decided("NDC", setting, not reasons, evidence, angle, FACING)
+    if not decision.chosen or near is None:
+        return decision, None
+    focal = np.median([(2 * c.focal[0] / c.width, 2 * c.focal[1] / c.height) for c in cameras], axis=0)
+    return decision, Ndc(frame, (float(focal[0]), float(focal[1])), near * NEARER)
+
+
+def mean_frame(cameras: Sequence[Camera]) -> np.ndarray:
+    """[4, 4] rigid: the mean of the cameras' axes, made orthonormal, at the mean of their positions."""
+    u, _, vt = np.linalg.svd(np.mean([c.camera_to_world[:3, :3] for c in cameras], axis=0))
+    frame = np.eye(4)
+    frame[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    frame[:3, 3] = np.mean([c.position for c in cameras], axis=0)
+    return frame
+
+
+def _depths(
+    frame: np.ndarray, cameras: Sequence[Camera], points: np.ndarray | None, bounds: np.ndarray | None
+) -> tuple[float | None, float | None]:
+    """Nearest and farthest depth of the scene along the frame's axis; None where the source knows neither."""
+    if bounds is not None:
+        ahead = np.array([(c.position - frame[:3, 3]) @ -frame[:3, 2] for c in cameras])
+        return float((bounds[:, 0] + ahead).min()), float((bounds[:, 1] + ahead).max())
+    if points is None or len(points) < 16:
+        return None, None
+    depth = (points - frame[:3, 3]) @ -frame[:3, 2]
+    return float(np.percentile(depth, 0.5)), float(np.percentile(depth, 99.5))
+
+
+def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, np.ndarray]:
+    """The domain of a forward-facing capture, what the cameras see of device coordinates, and its cells that one sees, bool [CELLS^3]."""
+    ends = []
+    for camera in cameras:
+        edge = [(x, y) for x in (0, camera.width // 2, camera.width - 1) for y in (0, camera.height // 2, camera.height - 1)]
+        point, direction, near, far = ndc.rays(*camera.rays(np.array(edge)), camera.near)
+        hits = far > near
+        ends += [point[hits], (point + far[:, None] * direction)[hits]]
+    found = np.concatenate(ends)
+    if not len(found):
+        raise SnergError("No camera looks along the axis of the forward-facing frame; set ndc to off.")
+    low = np.append(found[:, :2].min(axis=0).clip(-WIDEST, WIDEST), -1.0)
+    high = np.append(found[:, :2].max(axis=0).clip(-WIDEST, WIDEST), 1.0)
+    domain = Domain.around(low, high)
+    x = cell_centres(CELLS)
+    inside = ((x >= domain.low - 1 / CELLS) & (x <= domain.high + 1 / CELLS)).all(axis=-1)
+    alive = np.zeros(CELLS**3, bool)
+    # A cell that no camera's centre ray meets may still show at its rim: an extra cell all round.
+    alive[inside] = carve(ndc.to_world(domain.to_world(x[inside])), cameras, [None] * len(cameras), 0.0)
+    grown = alive.reshape((CELLS,) * 3)
+    for axis in range(3):
+        grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
+    return domain, grown.reshape(-1) & inside
+
+
+def disparity(setting: str, domain: Domain, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, ndc: bool) -> Decision:
+    """Whether samples at equal distances in 1 / distance serve better than in distance.
+
+    origins, directions, near: rays in field coordinates. setting: 'auto', 'linear' or 'disparity'.
+    """
+    override = {"linear": "off", "disparity": "on"}.get(setting, "auto")
+    if ndc:
+        return decided("Disparity", override, False, "Device coordinates are linear in disparity already.")
+    enter, leave = clip_rays(domain, origins, directions, near)
+    hit = leave > enter
+    if not hit.any():
+        return decided("Disparity", override, False, "No ray meets the box.")
+    nearest, farthest = float(np.percentile(enter[hit], 5)), float(np.percentile(leave[hit], 95))
+    ratio = farthest / max(nearest, 1e-3)
+    evidence = f"Along the rays the scene lies 1 : {min(ratio, 9999):.1f} near to far (disparity from 1 : {RANGE:g} on)."
+    return decided("Disparity", override, ratio >= RANGE, evidence, ratio, RANGE)
+
+
+def sampling(
+    settings: TrainSettings, domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray
+) -> Decision:
+    """Whether a second network must look where the first one found something.
+
+    Packed samples stand at the final spacing from each other already, and nowhere that nothing is. Evenly spaced ones do without
+    where there are enough of them for the final spacing. origins, directions, near: rays in field coordinates.
+    """
+    if settings.sampler == "packed":
+        filled = share_filled(domain, alive, origins, directions, near)
+        evidence = f"The first occupancy leaves {100 * filled:.0f} % of the rays' way; packed samples stand nowhere else, whatever it is."
+        return Decision("Hierarchical sampling", False, evidence, filled)
+    enter, leave = clip_rays(domain, origins, directions, near)
+    way = float(np.percentile(np.maximum(leave - enter, 0), 95))
+    needed = way / settings.spacing
+    evidence = f"Rays go up to {way:.2f} through the domain, {needed:.0f} times the final spacing; {settings.coarse} samples are even."
+    return decided("Hierarchical sampling", settings.hierarchy, needed > settings.coarse, evidence, needed, settings.coarse)
+
+
+def share_filled(domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray) -> float:
+    """Share of the way of rays (field coordinates) through the domain that lies in cells which may hold something."""
+    step = 4 / CELLS
+    enter, leave = clip_rays(domain, origins, directions, near)
+    way = np.maximum(leave - enter, 0).sum() / step
+    return float(len(pack_samples(domain, alive, origins, directions, step, np.full(len(origins), 0.5), near).ray) / max(way, 1))
+
+
+def suggested(box: Box) -> Domain:
+    """The domain of a box before anything is known of what it holds."""
+    corners = box.corners()
+    return Domain.around(corners.min(axis=0), corners.max(axis=0))

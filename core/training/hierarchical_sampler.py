@@ -1,0 +1,253 @@
+"""Training with NeRF's hierarchical sampling: a coarse network finds out where a fine one has to look (JAX)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..errors import SnergError
+from ..nerf.field import in_chunks
+from ..nerf.model import density_of, field_inputs, field_outputs, raw_outputs
+from ..nerf.sampling import CELLS, Domain, Occupancy, clip_rays, estimates
+from ..nerf.shading import ray_colour, sample_values, unit
+from ..nerf.volume_rendering import MAX_OPTICAL_DEPTH, composite_rows, optical_depth
+from .config import TrainSettings
+from .losses import backgrounds, cauchy, over
+from .occupancy_sampler import Batch
+from .ray_dataset import PixelPool
+
+if TYPE_CHECKING:
+    from .validation import Rays
+
+UPDATE_CELLS = 2**16  # of the occupancy grid, looked at in one update
+UPDATE_EVERY = 256  # steps
+QUERY = 8192  # points a call when the density alone is asked for
+PADDING = 1e-5  # of the fine samples are spread evenly over a ray
+
+
+class HierarchicalScheme:
+    """Draws rays; the loss samples them. See train.py for what a scheme is.
+
+    The occupancy grid takes no part in sampling: it says where the trained field holds something.
+    """
+
+    def __init__(self, settings: TrainSettings, pool: PixelPool, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
+        self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
+        self.occupancy = Occupancy.of_hull(alive)
+        self.occupied = alive
+        family = settings.family
+        plain = replace(settings, density_noise=0.0)
+        self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[-1].colour)
+        self._density = jax.jit(lambda params, x: field_outputs(jnp, family, params, field_inputs(jnp, family, x))[0])
+
+    def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
+        """Now and then ask the field where something is."""
+        if step % UPDATE_EVERY == 0:
+            self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
+            self.occupied = self._occupied()
+
+    def density(self, params: Any, x: np.ndarray) -> np.ndarray:
+        """Density [N] at field coordinates [N, 3]."""
+        return in_chunks(lambda part: (self._density(params["field"], part),), x, QUERY)[0]
+
+    def batch(self, params: Any, fraction: float) -> Batch:
+        """A step's rays. Raises SnergError when distances in disparity are asked for of a ray that begins at its camera."""
+        count = self.settings.rays
+        index = self.pool.draw(count, self.rng)
+        arrays = self._arrays(*self.pool.rays(index))
+        used = arrays["used"]
+        arrays["target"] = self.pool.pixels[index]
+        arrays["seed"] = self.rng.integers(0, 2**32, count, np.uint32)
+        arrays["rays"] = np.float32(max(used.sum(), 1))
+        if self.settings.background != "white":
+            arrays["background"] = backgrounds(self.settings.background, count, self.rng)
+        rays = int(used.sum())
+        coarse, fine = self.settings.coarse, 0 if self.settings.hierarchy == "off" else self.settings.coarse + self.settings.fine
+        return Batch(arrays, rays * (coarse + fine), rays)
+
+    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+        """What the field shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
+        arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
+        count, some = len(rays.near), self.settings.rays_at_once
+        arrays |= {"seed": np.arange(count, dtype=np.uint32), "background": rays.background}
+        seen = []
+        for start in range(0, count, some):
+            part = np.minimum(np.arange(start, start + some), count - 1)  # the last part is as long as the others
+            seen.append(np.asarray(self._render(params, {name: value[part] for name, value in arrays.items()})))
+        return np.where(arrays["used"][:, None], np.concatenate(seen)[:count], rays.background)
+
+    def _arrays(
+        self, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, far: np.ndarray, looking: np.ndarray
+    ) -> dict[str, Any]:
+        """Rays [R] as `render_rays` wants them, and which are "used": those that meet the domain."""
+        near, leave = clip_rays(self.domain, origins, directions, near)
+        far = np.minimum(leave, far)
+        used = far > near
+        if self.settings.distances == "disparity" and (near[used] <= 0).any():
+            raise SnergError(
+                "Sampling in disparity needs rays that begin in front of their cameras, and here a camera is inside the scene's box with "
+                "nothing nearest set; give the cameras a near distance, or set distances=linear."
+            )
+        near, far = np.where(used, near, 1), np.where(used, far, 2)  # the others count nothing, and must be finite
+        arrays = {"origins": origins, "directions": directions, "looking": unit(looking), "near": near, "far": far}
+        return {name: value.astype(np.float32) for name, value in arrays.items()} | {"used": used}
+
+    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """See `rays_loss`, over all rays of a batch or of a device's part of it."""
+        return rays_loss(self.settings, self.pool.alpha, params, batch)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """All that `restore` needs beside the parameters."""
+        return {"most": self.occupancy.most}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Undo `state`."""
+        self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
+        self.occupied = self._occupied()
+
+    def _occupied(self) -> np.ndarray:
+        """bool [CELLS^3]: where an interval of the final spacing has an opacity of 0.01 or more, or nobody has looked."""
+        return self.occupancy.most > 0.01 / self.settings.spacing
+
+
+def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """Squared error of coarse and fine colours (eq. 3), sparsity (eq. 8) and alpha; told is "error", the fine squared error alone.
+
+    Some rays at a time: the rest waits, and what the backward pass needs of them is computed again, so that memory does not
+    grow with the batch. All are sums over rays, divided by the number of rays in the whole batch.
+    """
+    whole = {name: value for name, value in batch.items() if jnp.ndim(value) == 0}
+    each = {name: value for name, value in batch.items() if name not in whole}
+    count = len(batch["near"])
+    parts = next(n for n in range(-(-count // settings.rays_at_once), count + 1) if count % n == 0)
+    loss = partial(_part_loss, settings, has_alpha)
+    if parts == 1:
+        return loss(params, batch)
+    stacked = {name: jnp.moveaxis(value.reshape(-1, parts, *value.shape[1:]), 1, 0) for name, value in each.items()}
+    # Without jax.checkpoint the scan would keep what all of its rays computed.
+    some = jax.checkpoint(lambda params, part: loss(params, {**part, **whole}))
+    totals = jax.lax.map(lambda part: some(params, part), stacked)
+    return jax.tree.map(lambda a: a.sum(axis=0), totals)
+
+
+def _part_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """`rays_loss` of rays that are in memory together."""
+    wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, batch.get("background", 1.0))
+    used = batch["used"].astype(jnp.float32) / batch["rays"]
+    loss = error = jnp.float32(0)
+    for seen in render_rays(settings, params, batch):
+        error = (((seen.colour - wanted) ** 2).mean(axis=-1) * used).sum()
+        loss = loss + error + settings.sparsity * (seen.sparsity * used).sum()
+        if has_alpha and settings.alpha:
+            loss = loss + settings.alpha * ((1 - seen.transmittance - alpha) ** 2 * used).sum()
+    return loss, {"error": error}
+
+
+class Seen(NamedTuple):
+    """What rays see: colour [R, 3], transmittance [R], and the mean Cauchy loss [R] of samples of equal spacing (section 4.3)."""
+
+    colour: Any
+    transmittance: Any
+    sparsity: Any
+
+
+def render_rays(settings: TrainSettings, params: Any, batch: dict[str, Any]) -> tuple[Seen, ...]:
+    """What the coarse and the fine network show along rays, the fine one at the coarse one's samples and at those drawn from
+    its weights (NeRF, section 5.2). Where there is no "coarse" network, what the one there is shows at evenly spaced samples.
+
+    batch: "origins", "directions" [R, 3] and "near", "far" [R] in the field's coordinates, "looking" [R, 3] unit, world axes,
+    "seed" [R] uint32, each ray's own random numbers, and "background" [R, 3] unless it is white.
+    """
+    random = partial(_uniform, batch["seed"])
+    along = stratified(jnp, batch["near"], batch["far"], random(0, settings.coarse), settings.distances == "disparity")
+    everywhere = np.arange(settings.coarse)[None, :]
+    if "coarse" not in params:
+        return (_march(settings, params, batch, along, everywhere, 1)[0],)
+    coarse, weights, borders = _march(settings, params["coarse"], batch, along, everywhere, 1)
+    more = jax.lax.stop_gradient(resampled(borders, weights, spread(random(2, settings.fine))))
+    both = jnp.concatenate([along, more], axis=-1)
+    order = jnp.argsort(both, axis=-1)
+    where = jnp.argsort(order, axis=-1)[:, : settings.coarse]  # of the coarse samples among all
+    fine, _, _ = _march(settings, params, batch, jnp.take_along_axis(both, order, axis=-1), where, 3)
+    return coarse, fine
+
+
+def _march(settings: TrainSettings, params: Any, batch: dict[str, Any], along: Any, uniform: Any, noise: int) -> tuple[Seen, Any, Any]:
+    """Render rays by their samples at distances `along` [R, K] (eqs. 2 to 7), with weights [R, K] and borders of intervals [R, K + 1].
+
+    A sample's interval reaches to the next one (eq. 2); the first begins at near and the last ends at far, so that together
+    they are the ray (hard case 19). uniform: which samples [R, C] are of equal spacing. noise: the stream of random numbers for
+    density noise.
+    """
+    view, family = settings.view_dependence, settings.family
+    rays, count = along.shape
+    points = batch["origins"][:, None] + batch["directions"][:, None] * along[..., None]
+    raw, values = raw_outputs(jnp, family, params["field"], field_inputs(jnp, family, points.reshape(-1, 3)))
+    values = sample_values(jnp, view, family, params, values, jnp.repeat(batch["looking"], count, axis=0))
+    raw = raw.reshape(rays, count)
+    sparsity = cauchy(jnp, density_of(jnp, family, jnp.take_along_axis(raw, uniform, axis=-1))).mean(axis=-1)
+    if settings.density_noise:
+        raw = raw + settings.density_noise * _normal(batch["seed"], noise, count)
+    borders = jnp.concatenate([batch["near"][:, None], along[:, 1:], batch["far"][:, None]], axis=-1)
+    depth = optical_depth(jnp, density_of(jnp, family, raw), jnp.diff(borders, axis=-1))
+    if settings.opaque:
+        depth = depth.at[:, -1].set(MAX_OPTICAL_DEPTH)
+    gathered, through, weights = composite_rows(jnp, depth, values.reshape(rays, count, -1))
+    colour = ray_colour(jnp, view, params, gathered, through, batch["looking"], batch.get("background", 1.0))
+    return Seen(colour, through, sparsity), weights, borders
+
+
+def stratified(xnp: Any, near: Any, far: Any, random: Any, disparity: bool) -> Any:
+    """Distances [R, K], one in each of K equal parts of near [R] .. far [R] (NeRF, eq. 2), increasing.
+
+    random: [R, K] in [0, 1). disparity: the parts are equal in 1 / distance, for which near must be above 0.
+    """
+    count = random.shape[-1]
+    share = (xnp.arange(count, dtype=np.float32) + xnp.minimum(random, 1 - 1e-3)) / count  # rounding must not reach the next part
+    near, far = near[:, None], far[:, None]
+    if disparity:
+        return 1 / ((1 - share) / near + share / far)
+    return near * (1 - share) + far * share
+
+
+def spread(random: Any) -> Any:
+    """[R, K] in [0, 1) to one number in each of K equal parts of [0, 1), increasing."""
+    count = random.shape[-1]
+    return (jnp.arange(count, dtype=np.float32) + random) / count
+
+
+def resampled(borders: Any, weights: Any, chances: Any) -> Any:
+    """Distances [R, M] distributed as weights [R, K] over intervals with borders [R, K + 1] (NeRF, section 5.2).
+
+    chances: [R, M] in [0, 1). Of the samples a share of 1e-5 is spread over all intervals, however small the weights are
+    (hard case 15). Weights that are not finite give distances that are not, so that a step with them is skipped (hard case 16).
+    """
+    total = weights.sum(axis=-1, keepdims=True)
+    some = ~(total <= 1e-30)  # a NaN is some
+    share = jnp.where(some, weights / jnp.where(some, total, 1), 1 / weights.shape[-1])
+    share = (1 - PADDING) * share + PADDING / weights.shape[-1]
+    ends = jnp.minimum(jnp.cumsum(share, axis=-1), 1).at[:, -1].set(1)
+    cumulated = jnp.concatenate([jnp.zeros_like(ends[:, :1]), ends], axis=-1)
+    place = jax.vmap(partial(jnp.searchsorted, side="right"))(cumulated, chances) - 1  # hard case 17: no table of rays x K x M
+    place = jnp.clip(place, 0, weights.shape[-1] - 1)
+    low, high, start, end = (jnp.take_along_axis(a, p, axis=-1) for a in (cumulated, borders) for p in (place, place + 1))
+    inside = jnp.clip((chances - low) / jnp.maximum(high - low, 1e-30), 0, 1)
+    return jnp.where(jnp.isfinite(total), start + inside * (end - start), jnp.nan)
+
+
+def _uniform(seeds: Any, stream: int, count: int) -> Any:
+    """[R, count] in [0, 1): each ray has its own numbers, whatever else is in its batch."""
+    return jax.vmap(lambda seed: jax.random.uniform(_key(seed, stream), (count,)))(seeds)
+
+
+def _normal(seeds: Any, stream: int, count: int) -> Any:
+    return jax.vmap(lambda seed: jax.random.normal(_key(seed, stream), (count,)))(seeds)
+
+
+def _key(seed: Any, stream: int) -> Any:
+    return jax.random.fold_in(jax.random.key(seed), stream)

@@ -1,0 +1,128 @@
+"""One step of training on all devices: each has a part of the batch and all of the parameters (JAX)."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from jax.experimental import multihost_utils
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from ..errors import SnergError
+from .config import TrainSettings
+from .optimizer import Loss, train_step
+
+PACKED = ("inputs", "ray", "valid", "noise")  # have an axis of samples
+
+
+class Devices:
+    """All devices that JAX sees, in all processes. With one, arrays and steps are just what they would be without this class."""
+
+    def __init__(self) -> None:
+        self.count = len(jax.devices())
+        self.processes = jax.process_count()
+        self.writes = jax.process_index() == 0
+        self._mesh = Mesh(np.array(jax.devices()), ("part",)) if self.count > 1 else None
+
+    def place(self, tree: Any) -> Any:
+        """Arrays onto every device, each whole. Processes must all give the same."""
+        return jax.tree.map(jax.numpy.array if self._mesh is None else partial(self._put, PartitionSpec()), tree)
+
+    def local(self, tree: Any) -> Any:
+        """Arrays from `place`, or that a step gave, as this process's first device has them."""
+        return tree if self._mesh is None else jax.tree.map(lambda a: a.addressable_data(0), tree)
+
+    def step(self, settings: TrainSettings, loss_of: Loss) -> Any:
+        """`train_step`, compiled, for what `place` and `feed` return."""
+        if self._mesh is None:
+            return jax.jit(partial(train_step, settings, loss_of), donate_argnums=(0, 1))
+        everywhere = NamedSharding(self._mesh, PartitionSpec())
+        return jax.jit(partial(train_step, settings, self._added(loss_of)), donate_argnums=(0, 1), out_shardings=everywhere)
+
+    def _added(self, loss_of: Loss) -> Loss:
+        """A loss over all parts from one over a part: losses are sums over what is in the part, so they only add up."""
+
+        def part_of(params: Any, parts: Any, whole: Any) -> Any:
+            mine = jax.tree.map(lambda a: a[0], parts)
+            return jax.lax.psum(loss_of(params, {**mine, **whole}), "part")  # what it tells beside the loss are sums too
+
+        nothing, cut = PartitionSpec(), PartitionSpec("part")
+        everywhere = jax.shard_map(part_of, mesh=self._mesh, in_specs=(nothing, cut, nothing), out_specs=nothing)
+        return lambda params, batch: everywhere(params, batch["parts"], batch["whole"])
+
+    def feed(self, settings: TrainSettings, arrays: dict[str, Any]) -> Any:
+        """A step's batch for `step`. Every process draws the same batch, and its devices get their parts of it."""
+        if self._mesh is None:
+            return arrays
+        parts, whole = split_batch(arrays, self.count, longest_ray(settings))
+        put = partial(self._put, PartitionSpec("part"))
+        return {"parts": jax.tree.map(put, parts), "whole": self.place(whole)}
+
+    def shared(self, value: float) -> float:
+        """Process 0's value, in all processes: what depends on the clock must be the same everywhere."""
+        return value if self.processes == 1 else float(multihost_utils.broadcast_one_to_all(np.float32(value)))
+
+    def agreed(self, elapsed: float, stop: bool) -> tuple[float, bool]:
+        """Process 0's clock, and whether any process is to stop, in all processes: one that left alone would leave the others waiting."""
+        if self.processes == 1:
+            return elapsed, stop
+        told = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
+        return float(told[0, 0]), bool(told[:, 1].any())
+
+    def leave(self) -> None:
+        """Part from the other processes, all of which must call this now: one that only ended would be an error to the others."""
+        if self.processes > 1:
+            jax.distributed.shutdown()
+
+    def _put(self, spec: PartitionSpec, array: Any) -> Any:
+        array = np.asarray(array)
+        return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])  # type: ignore[arg-type]
+
+
+def longest_ray(settings: TrainSettings) -> int:
+    """Samples that one ray can have in the field's cube at its final spacing."""
+    return math.ceil(2 * math.sqrt(3) / settings.spacing) + 2
+
+
+def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Cut a step's batch on the host: (arrays [parts, ...] of which each device gets one, arrays that all get).
+
+    Packed samples are cut between rays, so that no ray is composited in two places; rays keep their numbers, and a part's
+    `used` are its own. A part has room for its share and `longest`, the most samples that a ray can have. Other batches have
+    rays along every first axis of the same length; raises SnergError when `parts` does not divide it.
+    """
+    if "ray" not in arrays:
+        return _split_rays(arrays, parts)
+    ray, valid = np.asarray(arrays["ray"]), np.asarray(arrays["valid"])
+    size, count, none = len(ray), int(valid.sum()), len(arrays["used"]) - 1
+    room = -(-size // parts) + longest
+    cuts = [int(np.searchsorted(ray[:count], ray[p * count // parts])) if count else 0 for p in range(parts)] + [count]
+
+    def cut(array: Any, fill: int = 0) -> np.ndarray:
+        """[..., size, ...] to [parts, ..., room, ...]."""
+        array = np.asarray(array)
+        axis = array.shape.index(size)
+        result = np.full((parts, *array.shape[:axis], room, *array.shape[axis + 1 :]), fill, array.dtype)
+        source, target = np.moveaxis(array, axis, 0), np.moveaxis(result, axis + 1, 1)
+        for p in range(parts):
+            target[p, : cuts[p + 1] - cuts[p]] = source[cuts[p] : cuts[p + 1]]
+        return result
+
+    split = {name: jax.tree.map(cut, arrays[name]) for name in PACKED if name in arrays and name != "ray"}
+    split["ray"] = cut(ray, none)
+    split["used"] = np.zeros((parts, none + 1), bool)
+    for p in range(parts):
+        split["used"][p, ray[cuts[p] : cuts[p + 1]]] = True
+    return split, {name: value for name, value in arrays.items() if name not in split}
+
+
+def _split_rays(arrays: dict[str, Any], parts: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arrays [rays, ...] to [parts, rays / parts, ...]; scalars go to all."""
+    whole = {name: value for name, value in arrays.items() if np.ndim(value) == 0}
+    if (rays := len(arrays["near"])) % parts:
+        raise SnergError(f"{rays} rays a step cannot be divided among {parts} devices; set rays to a multiple of {parts}.")
+    split = {name: jax.tree.map(np.asarray, value) for name, value in arrays.items() if name not in whole}
+    return jax.tree.map(lambda a: a.reshape(parts, -1, *a.shape[1:]), split), whole

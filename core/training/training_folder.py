@@ -1,0 +1,87 @@
+"""Where a training's files lie: in its field's folder, or beside a field that stays there until the training is finished."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import os
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..data.dataset import Dataset
+from ..errors import SnergError
+from ..io.files import json_bytes, put_in_place
+from ..nerf.checkpoint import FILE, is_field, read_field, read_field_and_state
+from ..nerf.field import Field
+from .config import TrainSettings
+
+NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
+
+
+def training_folder(out: Path, settings: TrainSettings, dataset: Dataset) -> tuple[Path, str]:
+    """(the folder to train the field `out` in, its state there: NEW, UNFINISHED or FINISHED).
+
+    That is `out` itself where no field is there, or the very training that these settings and images continue. Another field
+    stays there, and the training lies in the hidden folder .NAME.training-KEY beside it until `finish`; other settings or images
+    have another key, so that no training begins over another's. FINISHED: only `finish` is missing.
+    """
+    asked = _plain(asdict(settings), dataset.root.resolve(), asdict(dataset.options), len(dataset.cameras))
+    real = Path(os.path.realpath(out))
+    beside = _beside(real, asked)
+    state = _state(beside, asked)
+    if state == FINISHED and is_field(real) and (beside / FILE).stat().st_mtime_ns < (real / FILE).stat().st_mtime_ns:
+        state = NEW  # the field before: a kill left it here after the new one had taken its place
+    if state != NEW or (is_field(real) and _state(real, asked) != UNFINISHED):
+        return beside, state
+    return out, UNFINISHED if is_field(real) else NEW
+
+
+def finish(folder: Path, out: Path) -> None:
+    """A training that took place beside `out` takes its place. An unfinished training there is set aside, to go on with later; a
+    finished field is deleted. Raises SnergError when it cannot; then both are as they were."""
+    real, keep = Path(os.path.realpath(out)), None
+    if is_field(real):
+        with suppress(SnergError):  # a damaged one is deleted
+            field, state = read_field_and_state(real)
+            keep = _beside(real, _identity(field)) if state else None
+    put_in_place(folder, real, keep)
+
+
+def trainings_beside(out: Path) -> list[dict[str, Any]]:
+    """{"folder", "steps", "seconds"} of each unfinished training that is to take the place of the field `out`."""
+    real, found = Path(os.path.realpath(out)), []
+    for folder in sorted(real.parent.glob(f".{glob.escape(real.name)}.training-????????")):
+        with suppress(SnergError):  # nothing is saved there yet, or it is damaged: the training begins anew
+            about = read_field(folder).about
+            found.append({"folder": str(folder), "steps": about.get("steps"), "seconds": about.get("seconds")})
+    return found
+
+
+def _plain(settings: Any, dataset: Path | str, options: Any, views: int) -> dict[str, Any]:
+    """What makes two trainings the same, as JSON values."""
+    return dict(json.loads(json_bytes({"settings": settings, "dataset": str(dataset), "options": options, "views": views})))
+
+
+def _identity(field: Field) -> dict[str, Any]:
+    return _plain(field.about.get("settings"), field.dataset, field.about.get("dataset_options", {}), len(field.cameras))
+
+
+def _beside(real: Path, identity: dict[str, Any]) -> Path:
+    key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:8]
+    return real.with_name(f".{real.name}.training-{key}")
+
+
+def _state(folder: Path, asked: dict[str, Any]) -> str:
+    """How far a folder has got with just what is asked; NEW where it holds something else, or a damaged field."""
+    if not is_field(folder):
+        return NEW
+    try:
+        field, state = read_field_and_state(folder)
+        if _identity(field) != asked:
+            return NEW
+    except SnergError:
+        return NEW
+    return UNFINISHED if state else FINISHED  # a finished one is written without what it takes to go on

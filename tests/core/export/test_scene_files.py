@@ -1,0 +1,291 @@
+"""Baked scenes on disk."""
+
+import json
+import shutil
+import sys
+import tracemalloc
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scenes import empty_snerg, make_cameras, make_forward, make_snerg, snerg_from_volume
+from snerg.core.errors import SnergError
+from snerg.core.export.codecs import SUFFIXES, CodecSettings
+from snerg.core.export.reference import write_reference
+from snerg.core.export.scene_files import codec_of, read_scene, write_scene
+from snerg.core.rendering.render import march
+from snerg.core.scene.scene import Snerg
+
+
+def same(a: Snerg, b: Snerg) -> bool:
+    numbers = (a.voxel_size, a.shape, a.near, a.about, a.effects) == (b.voxel_size, b.shape, b.near, b.about, b.effects)
+    arrays = all(np.array_equal(x, y) for x, y in ((a.indirection, b.indirection), (a.cells, b.cells)))
+    return numbers and arrays and np.allclose(a.grid_to_world, b.grid_to_world, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("make", [make_snerg, make_forward])
+@pytest.mark.parametrize("diffuse", [False, True])
+def test_what_is_written_is_read(tmp_path, make, diffuse):
+    snerg = make(diffuse=diffuse)
+    write_scene(snerg, tmp_path / "scene")
+    back = read_scene(tmp_path / "scene")
+    assert same(back, snerg) and (back.ndc is None) == (snerg.ndc is None)
+    if snerg.ndc is not None:
+        assert (back.ndc.focal, back.ndc.near) == (snerg.ndc.focal, snerg.ndc.near)
+        assert np.allclose(back.ndc.camera_to_world, snerg.ndc.camera_to_world, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("ndc", [{"focal": [1, 1]}, 3, {"camera_to_world": np.eye(4).tolist(), "focal": [1, 0], "near": 1}])
+def test_a_damaged_frame_is_told(tmp_path, ndc):
+    write_scene(make_forward(), tmp_path / "scene")
+    path = tmp_path / "scene" / "scene.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "ndc": ndc}))
+    with pytest.raises(SnergError, match=r"damaged|forward-facing frame"):
+        read_scene(tmp_path / "scene")
+
+
+@pytest.mark.hard_case(56)
+def test_the_atlas_is_written_and_read_by_the_slab(tmp_path):
+    """Beside the scene itself only a few pictures are in memory, not the atlas once more."""
+    noise = np.random.default_rng(0).integers(0, 256, (180, 150, 180, 4), np.uint8)  # takes longer to write than to cut up
+    snerg = snerg_from_volume(noise, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    size = snerg.cells.nbytes
+    tracemalloc.start()
+    try:
+        write_scene(snerg, tmp_path / "scene")
+        assert tracemalloc.get_traced_memory()[1] < 0.8 * size
+        tracemalloc.reset_peak()
+        before = tracemalloc.get_traced_memory()[0]
+        back = read_scene(tmp_path / "scene")
+        assert tracemalloc.get_traced_memory()[1] - before < 1.7 * size
+    finally:
+        tracemalloc.stop()
+    assert np.array_equal(back.cells, snerg.cells)
+
+
+LOSSY = tuple(name for name in SUFFIXES if not CodecSettings(name).lossless)
+
+
+def needs(name: str) -> None:
+    if name == "h264":
+        pytest.importorskip("av")
+
+
+@pytest.mark.parametrize("diffuse", [False, True])
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_codecs(tmp_path, name, diffuse):
+    """Lossless ones return what they were given, lossy ones nearly, and better at a higher quality; alpha is exact in all."""
+    needs(name)
+    snerg = make_snerg((40, 33, 35), diffuse)
+    means, sizes = [], []
+    for quality in (100, 60):
+        folder = tmp_path / str(quality)
+        write_scene(snerg, folder, codec=CodecSettings(name, quality))
+        back = read_scene(folder)
+        assert np.array_equal(back.cells[..., -1], snerg.cells[..., -1])
+        assert codec_of(folder) == CodecSettings(name) if name in ("png", "webp") else CodecSettings(name, quality)
+        full = snerg.cells[..., -1] > 0
+        assert quality == 60 or abs((back.cells[full].astype(int) - snerg.cells[full]).mean()) < 0.25, "rays add a bias up"
+        means.append(np.abs(back.cells.astype(int) - snerg.cells).mean())
+        sizes.append(sum(path.stat().st_size for path in folder.iterdir() if path.suffix != ".json"))
+        assert diffuse != any("feature" in path.name for path in folder.iterdir())
+    if name in LOSSY:
+        assert means[0] < 0.1 < means[1] < 1 and sizes[0] > 1.5 * sizes[1]
+    else:
+        assert same(back, snerg) and sizes[0] == sizes[1]
+
+
+@pytest.mark.hard_case(58)
+@pytest.mark.parametrize("name", LOSSY)
+def test_empty_stays_empty(tmp_path, name):
+    """A lossy codec spreads colour into what is empty; a haze stands where rays meet nothing."""
+    needs(name)
+    snerg = make_snerg((40, 33, 35), fog=False)
+    write_scene(snerg, tmp_path / "scene", codec=CodecSettings(name, 50))
+    back = read_scene(tmp_path / "scene")
+    assert (back.cells[..., :-1] <= back.cells[..., -1:]).all()
+    assert not back.cells[snerg.cells[..., -1] == 0].any()
+    suffix = SUFFIXES[name]
+    if name != "h264":  # as read without the rule
+        pixels = np.asarray(Image.open(tmp_path / "scene" / f"rgb_003.{suffix}"))
+        alpha = np.asarray(Image.open(tmp_path / "scene" / "alpha_003.png"))
+        assert (pixels[alpha == 0] > 0).any()
+    camera = make_cameras(width=60, height=45)[0]
+    clear = march(snerg, camera)
+    assert (march(back, camera).colour[clear.alpha == 0] == 0).all()
+
+
+@pytest.mark.parametrize("name", LOSSY)
+def test_light_without_alpha_is_for_lossless_codecs(tmp_path, name):
+    needs(name)
+    snerg = make_snerg((20, 20, 20), diffuse=True)
+    snerg = replace(snerg, cells=np.maximum(snerg.cells, np.array([1, 0, 0, 0], np.uint8)))
+    with pytest.raises(SnergError, match="colours above their alpha"):
+        write_scene(snerg, tmp_path / "scene", codec=CodecSettings(name))
+    assert list(tmp_path.iterdir()) == []
+    write_scene(snerg, tmp_path / "scene", codec=CodecSettings("webp"))
+    assert same(read_scene(tmp_path / "scene"), snerg)
+
+
+@pytest.mark.hard_case(57)
+@pytest.mark.parametrize("name", SUFFIXES)
+def test_empty_scenes(tmp_path, name):
+    needs(name)
+    write_scene(empty_snerg(), tmp_path / "scene", codec=CodecSettings(name))
+    assert same(read_scene(tmp_path / "scene"), empty_snerg())
+
+
+@pytest.mark.parametrize(("name", "quality"), [("gif", 90), ("jpeg", 0), ("avif", 101), ("jpeg", 9.5)])
+def test_no_such_codec(name, quality):
+    with pytest.raises(SnergError, match=r"no codec 'gif'|whole number from 1 to 100"):
+        CodecSettings(name, quality)
+
+
+def test_h264_without_pyav(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(SnergError, match="pip install av"):
+        write_scene(make_snerg((20, 20, 20)), tmp_path / "scene", codec=CodecSettings("h264"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_version_2_is_read(tmp_path):
+    snerg = make_snerg((40, 33, 35))
+    write_scene(snerg, tmp_path / "scene")
+    edit(tmp_path / "scene", lambda value: (value.update(version=2), value.pop("codec")))
+    assert same(read_scene(tmp_path / "scene"), snerg) and codec_of(tmp_path / "scene") == CodecSettings()
+
+
+def edit(folder, change) -> None:
+    path = folder / "scene.json"
+    value = json.loads(path.read_text())
+    change(value)
+    path.write_text(json.dumps(value))
+
+
+def cut(path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def resized(path) -> None:
+    Image.open(path).resize((17, 9)).save(path)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored")
+    for name in SUFFIXES:
+        if name != "h264" or find_spec("av"):
+            write_scene(make_snerg((20, 20, 20)), folder / name, codec=CodecSettings(name, 60))
+    write_scene(in_floats(make_snerg((20, 20, 20))), folder / "float")
+    return folder
+
+
+FILES = {
+    "png": ("rgba_002.png", "feature_001.png"),
+    "webp": ("alpha_002.png", "rgb_000.webp", "feature_001.webp"),
+    "jpeg": ("alpha_002.png", "rgb_000.jpg", "feature_001.jpg"),
+    "avif": ("alpha_002.png", "rgb_000.avif", "feature_001.avif"),
+    "h264": ("alpha_002.png", "rgb.mp4", "feature.mp4"),
+    "float": ("cells.npy",),
+}
+
+
+@pytest.mark.hard_case(61)
+@pytest.mark.parametrize(("name", "file"), [(name, file) for name, files in FILES.items() for file in files])
+def test_damaged_files_are_named(tmp_path, stored, name, file):
+    needs(name)
+    damage = {"missing": lambda path: path.unlink(), "cut": cut, "empty": lambda path: path.write_bytes(b"")}
+    damage["noise"] = lambda path: path.write_bytes(np.random.default_rng(1).bytes(5000))
+    if file.rpartition(".")[2] not in ("mp4", "npy"):
+        damage["resized"] = resized
+    for what, change in damage.items():
+        folder = shutil.copytree(stored / name, tmp_path / what)
+        change(folder / file)
+        with pytest.raises(SnergError) as caught:
+            read_scene(folder)
+        assert str(folder / file) in str(caught.value), what
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda value: value.pop("codec"),
+        lambda value: value.update(codec="png"),
+        lambda value: value.update(codec={"name": "gif", "quality": 3}),
+        lambda value: value.update(codec={"name": "jpeg", "quality": None}),
+        lambda value: value.update(atlas_blocks=[0, 1, 1]),
+        lambda value: value.update(atlas_blocks=[1, 1, 10**9]),
+        lambda value: value.update(cells=-1),
+        lambda value: value.update(cells=10**9),
+        lambda value: value.update(shape=[10**7] * 3),
+        lambda value: value.update(shape=[1e400] * 3),
+        lambda value: value.update(network=[1]),
+        lambda value: value.update(about=7),
+    ],
+)
+def test_damaged_numbers_are_told(tmp_path, stored, change):
+    folder = shutil.copytree(stored / "png", tmp_path / "scene")
+    edit(folder, change)
+    with pytest.raises(SnergError):
+        read_scene(folder)
+
+
+def in_floats(snerg: Snerg) -> Snerg:
+    return replace(snerg, cells=snerg.cells.astype(np.float32) / 255)
+
+
+def test_floats_are_stored_as_they_are(tmp_path):
+    snerg = in_floats(make_snerg((20, 20, 20)))
+    write_scene(snerg, tmp_path / "scene")
+    back = read_scene(tmp_path / "scene")
+    assert same(back, snerg) and back.cells.dtype == np.float32 and codec_of(tmp_path / "scene") == CodecSettings()
+    for codec in ("jpeg", "webp"):
+        with pytest.raises(SnergError, match="not quantised"):
+            write_scene(snerg, tmp_path / "other", codec=CodecSettings(codec))
+    with pytest.raises(SnergError, match="not quantised"):
+        write_reference(snerg, tmp_path / "other")
+    assert [path.name for path in tmp_path.iterdir()] == ["scene"]
+    cells = snerg.cells.copy()
+    for bad in (np.nan, 1.5, -0.1):
+        cells[0, 3, 3, 3, 3] = bad
+        np.save(tmp_path / "scene" / "cells.npy", cells)
+        with pytest.raises(SnergError, match=r"cells.npy holds values outside 0 to 1"):
+            read_scene(tmp_path / "scene")
+
+
+@pytest.mark.hard_case(54)
+@pytest.mark.parametrize("blocks", [1, 254, 255, 256, 700])
+def test_any_number_of_blocks_on_an_axis(tmp_path, blocks):
+    values = np.zeros((30 * blocks, 4, 4, 4), np.uint8)
+    values[-2:] = 200
+    values[:1] = 100
+    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.001)
+    write_scene(snerg, tmp_path / "scene")
+    assert same(read_scene(tmp_path / "scene"), snerg)
+
+
+@pytest.mark.slow
+@pytest.mark.hard_case(56)
+def test_four_thousand_blocks_are_streamed(tmp_path):
+    """Half a gigabyte of cells; a layer of them is 32 MiB, and a few of those are in memory beside it."""
+    cells = np.zeros((4096, 32, 32, 32, 4), np.uint8)
+    cells[:, 5:9, 7, 3:30] = np.arange(4096, dtype=np.uint16).view(np.uint8).reshape(4096, 2)[:, None, None, [0, 1, 0, 1]]
+    snerg = replace(
+        make_snerg((20, 20, 20), diffuse=True),
+        cells=cells,
+        shape=(480,) * 3,
+        indirection=np.arange(4096, dtype=np.int32).reshape((16,) * 3),
+    )
+    tracemalloc.start()
+    try:
+        write_scene(snerg, tmp_path / "scene")
+        assert tracemalloc.get_traced_memory()[1] < 200e6
+        tracemalloc.reset_peak()
+        back = read_scene(tmp_path / "scene")
+        assert tracemalloc.get_traced_memory()[1] < cells.nbytes + 200e6
+    finally:
+        tracemalloc.stop()
+    assert np.array_equal(back.cells, cells)

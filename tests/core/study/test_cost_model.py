@@ -1,0 +1,193 @@
+"""What is said beforehand against what then happens, on a field whose values are known. Seconds are checked for sense alone."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from scenes import looking, make_frame, make_snerg, random_network
+from snerg.core import cli
+from snerg.core.baking.bake import BakeSettings, bake
+from snerg.core.data.load import read_dataset
+from snerg.core.errors import SnergError
+from snerg.core.export.scene_files import write_scene
+from snerg.core.geometry.box import Box
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.ndc import Ndc
+from snerg.core.nerf.model import HashFamily, ViewNetwork
+from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
+from snerg.core.training.config import TrainSettings
+
+BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
+
+
+def cells_of_ball() -> np.ndarray:
+    return np.linalg.norm(cell_centres(CELLS), axis=-1) < 0.75
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A field by arithmetic: a ball with a dense shell, and occupied cells round it."""
+
+    density: float = 300.0
+    network: ViewNetwork | None = field(default_factory=random_network)
+    cameras: tuple[Camera, ...] = ()
+    occupancy: np.ndarray = field(default_factory=cells_of_ball)
+    ndc: Ndc | None = None
+    view: str = "deferred"
+    dataset: str = ""
+    params: dict = field(default_factory=dict)
+    family: HashFamily = HashFamily()
+    about: dict = field(default_factory=dict)
+    domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        density = np.where(np.linalg.norm(x, axis=-1) < 0.7, self.density, 0).astype(np.float32)
+        return density, np.concatenate([np.clip(0.5 + 0.5 * x, 0, 1), np.full((len(x), 4), 0.25)], axis=-1).astype(np.float32)
+
+    def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        density, values = self.evaluate(points.astype(np.float32))
+        return np.where(self.holds(points.astype(np.float32)), density, 0), values[:, :3], values[:, 3:]
+
+    def holds(self, x: np.ndarray) -> np.ndarray:
+        return (np.abs(x) <= 1).all(axis=-1) & self.occupancy[cell_index(x.astype(np.float32))]
+
+
+def around(count: int = 8) -> tuple[Camera, ...]:
+    eyes = [(4 * np.cos(a), 4 * np.sin(a), 1.5 * (-1) ** i) for i, a in enumerate(np.linspace(0, 6, count))]
+    return tuple(Camera(100, 100, (150.0, 150.0), (50, 50), looking(eye, (0, 0, 0))) for eye in eyes)
+
+
+@pytest.fixture(scope="module")
+def surveyed():
+    pytest.importorskip("jax")
+    from snerg.core.study.field_probe import survey
+
+    return survey(Ball(cameras=around()))
+
+
+@pytest.mark.parametrize("resolution", [100, 180])
+def test_what_is_counted_is_what_is_baked(surveyed, resolution):
+    from snerg.core.study.cost_model import estimate
+
+    settings = BakeSettings(resolution=resolution, samples=1)
+    said, told = estimate(surveyed, BOX, settings), bake(surveyed.field, BOX, surveyed.field.cameras, settings).about["bake"]
+    assert said.held == pytest.approx(told["voxels"]["held"], rel=0.1)
+    assert said.kept == pytest.approx(told["voxels"]["seen"], rel=0.25) and said.kept < 0.9 * said.held  # the inside is seen by none
+    assert said.blocks == pytest.approx(told["blocks"], rel=0.25)
+    assert estimate(surveyed, BOX, replace(settings, visibility=False)).kept == said.held
+    assert said.looked == pytest.approx(surveyed.field.occupancy.sum() * (resolution / CELLS) ** 3, rel=0.1)
+
+
+def test_a_smaller_box_takes_less(surveyed):
+    from snerg.core.study.cost_model import estimate
+
+    whole = estimate(surveyed, BOX, BakeSettings(voxel_size=0.01))
+    half = estimate(surveyed, Box.axis_aligned([-1, -1, -1], [0, 1, 1]), BakeSettings(voxel_size=0.01))
+    assert half.held == pytest.approx(whole.held / 2, rel=0.1) and 0.4 < half.megabytes / whole.megabytes < 0.6
+    assert 0.4 < half.blocks / whole.blocks < 0.75 and half.peak_megabytes < whole.peak_megabytes and half.bake < whole.bake
+    away = estimate(surveyed, Box.axis_aligned([3, 3, 3], [4, 4, 4]), BakeSettings(voxel_size=0.01))
+    assert away.kept == away.blocks == 0 and away.megabytes == 0
+
+
+def test_what_is_left_out_is_not_counted(surveyed):
+    from snerg.core.study.cost_model import estimate
+
+    whole = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4))
+    matte = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, network=False))
+    assert matte.megabytes == pytest.approx(whole.megabytes / 2) and matte.peak_megabytes < whole.peak_megabytes
+    floats = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, quantise=False))
+    assert floats.peak_megabytes > whole.peak_megabytes
+    assert estimate(surveyed, BOX, BakeSettings(resolution=200, samples=8)).bake > whole.bake
+    assert 0.2 < estimate(surveyed, BOX, size=(400, 400)).preview / estimate(surveyed, BOX).preview < 0.4
+
+
+def test_it_can_be_asked_while_a_box_is_dragged(surveyed):
+    from snerg.core.study.cost_model import estimate
+
+    took = []
+    for side in (2, 1.9, 1, 0.5, 0.2, 0.05, 0.02):  # however small: then a cell of the field meets thousands of blocks
+        for corner in ([-1, -1, -1], [0.6, 0, 0]):
+            began = time.perf_counter()
+            estimate(surveyed, Box.axis_aligned(corner, np.array(corner) + side))
+            took.append(time.perf_counter() - began)
+    assert np.median(took) < 0.1 and max(took) < 0.5  # half of it is what is wanted; the machine may be busy
+
+
+def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tmp_path):
+    from snerg.core.study.cost_model import estimate
+    from snerg.core.study.field_probe_file import check_survey, read_survey, stamp, write_survey
+
+    folder, path = tmp_path / "field", tmp_path / "survey.npz"
+    folder.mkdir()
+    source = folder / "field.npz"
+    source.write_bytes(b"a field")
+
+    def read():
+        return read_survey(path, stamp(folder), lambda: surveyed.field)
+
+    check_survey(path)
+    assert read() is None
+    write_survey(path, surveyed, stamp(folder))
+    check_survey(path)
+    again = read()
+    for box in (BOX, Box.axis_aligned([-1, -1, -1], [0, 1, 1])):
+        assert estimate(again, box).to_json() == estimate(surveyed, box).to_json()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert read() is None
+    path.write_bytes(whole)
+    source.write_bytes(b"trained for longer")
+    assert read() is None
+    with pytest.raises(SnergError, match=r"field.npz is there already"):
+        check_survey(source)
+
+
+def test_a_folder_of_checkpoints_is_another_when_a_newer_one_is_there(tmp_path):
+    from snerg.core.study.field_probe_file import stamp
+
+    (tmp_path / "checkpoint_100").write_bytes(b"early")
+    first = stamp(tmp_path)
+    (tmp_path / "checkpoint_2000").write_bytes(b"much later")
+    assert stamp(tmp_path) not in (first, stamp(tmp_path / "checkpoint_100")) and stamp(tmp_path) == stamp(tmp_path / "checkpoint_2000")
+
+
+def test_a_length_is_none_in_device_coordinates(surveyed):
+    from snerg.core.study.cost_model import estimate
+
+    forward = replace(surveyed, field=replace(surveyed.field, ndc=make_frame()))
+    with pytest.raises(SnergError, match="device coordinates"):
+        estimate(forward, BOX, BakeSettings(voxel_size=0.1))
+
+
+def test_a_training_is_so_many_steps(dataset):
+    pytest.importorskip("jax")
+    from snerg.core.study.cost_model import training
+
+    data = read_dataset(dataset)
+    timed = training(data, TrainSettings(seconds=60.0))
+    assert timed["seconds"] == 60 and timed["steps"] == pytest.approx(60 / timed["step_seconds"], rel=0.02)
+    counted = training(data, TrainSettings(seconds=None, steps=100))
+    assert counted["steps"] == 100 and counted["seconds"] > 0 and counted["peak_megabytes"] > 500
+
+
+def test_an_empty_field_is_refused():
+    pytest.importorskip("jax")
+    from snerg.core.study.field_probe import survey
+
+    with pytest.raises(SnergError, match="holds nothing"):
+        survey(Ball(occupancy=np.zeros(CELLS**3, bool)))
+
+
+def test_the_verb(dataset, tmp_path, capsys):
+    pytest.importorskip("jax")
+    assert cli.main(["estimate", str(dataset), "--minutes", "1", "--json"]) == 0
+    value = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert value["kind"] == "dataset" and value["seconds"] == 60 and value["steps"] > 0
+    write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "scene")
+    assert cli.main(["estimate", str(tmp_path / "scene")]) == 2
+    assert "baked already" in capsys.readouterr().err
