@@ -21,10 +21,10 @@ from snerg.core.baking.bake import BakeSettings
 from snerg.core.export.scene_files import read_scene
 from snerg.core.io.files import folder_bytes
 from snerg.core.nerf.checkpoint import read_field
-from snerg.core.rendering.acceleration import tables_of
-from snerg.core.rendering.render import march
+from snerg.core.rendering.acceleration import acceleration_of
+from snerg.core.rendering.render import render_scene
 from snerg.core.study.cost_model import estimate
-from snerg.core.study.field_probe import Survey, survey
+from snerg.core.study.field_probe import FieldProbe, survey
 
 CONFIGURATIONS = ((128, 4), (256, 1), (256, 4), (256, 0), (384, 2), (512, 1), (512, 4), (512, 0))
 GOOD = 0.25
@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: Path) -> dict[str, Any]:
+def compare(path: Path, looked: FieldProbe, resolution: int, samples: int, folder: Path) -> dict[str, Any]:
     """One configuration, said and done."""
     name = path.parent.name if path.name == "field" else path.name
     print(f"{name}: {resolution} voxels, {samples or 'auto'} samples ...", file=sys.stderr, flush=True)
@@ -78,7 +78,7 @@ def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: P
     told = done["about"]["bake"]
     scene = read_scene(folder / "scene")
     began = time.perf_counter()
-    tables_of(scene)
+    acceleration_of(scene)
     tables = time.perf_counter() - began
     views = [
         camera.resized(800, round(800 * camera.height / camera.width))
@@ -86,7 +86,7 @@ def compare(path: Path, looked: Survey, resolution: int, samples: int, folder: P
     ]
     began = time.perf_counter()
     for view in views:
-        march(scene, view)
+        render_scene(scene, view)
     picture = (time.perf_counter() - began) * 800 * 800 / sum(view.width * view.height for view in views)
     voxels = told["voxels"]
     pairs = {

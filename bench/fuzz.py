@@ -59,7 +59,7 @@ def subjects() -> list[Subject]:
 
     import flax_checkpoint
     from scenes import make_cameras, make_snerg, random_network
-    from snerg.core.baking.resume import Kept
+    from snerg.core.baking.resume import ResumeCache
     from snerg.core.data.load import read_dataset
     from snerg.core.data.readers.ply import read_ply
     from snerg.core.data.readers.transforms import read_cameras, write_transforms
@@ -74,11 +74,11 @@ def subjects() -> list[Subject]:
     from snerg.core.nerf.checkpoint import read_field, write_field
     from snerg.core.nerf.field import Field
     from snerg.core.nerf.hash_grid import HashGrid
-    from snerg.core.nerf.model import HashFamily, MlpFamily, init_field
+    from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, init_field
     from snerg.core.nerf.reference_checkpoint import field_of, read_reference_checkpoint
     from snerg.core.nerf.sampling import CELLS, Domain
     from snerg.core.study import effects, field_probe_file
-    from snerg.core.study.field_probe import Rates, Survey
+    from snerg.core.study.field_probe import FieldProbe, Rates
     from snerg.core.study.plan import Config
     from snerg.core.study.sweep import read_row
     from snerg.core.training.log import read_log
@@ -143,7 +143,7 @@ def subjects() -> list[Subject]:
     def survey(folder: Path) -> None:
         rates, two = Rates(**{one.name: 1.0 for one in fields(Rates)}), np.ones((2, 5), bool)
         nothing: Any = None
-        looked = Survey(
+        looked = FieldProbe(
             nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
         )
         field_probe_file.write_survey(folder / "survey.npz", looked, "mark")
@@ -163,7 +163,7 @@ def subjects() -> list[Subject]:
         )
         (folder / "a.ply").write_bytes(head.encode() + np.arange(9.0).tobytes())
 
-    hashed, mlp = HashFamily(HashGrid(2, 4, 8, 2, 8), 8), MlpFamily(8, 3, 2, 3)
+    hashed, mlp = HashModelConfig(HashGrid(2, 4, 8, 2, 8), 8), MlpModelConfig(8, 3, 2, 3)
     lines = [{"step": i, "seconds": 0.5, "psnr": 20.0, "fraction": 0.1} for i in range(1, 6)]
     result = [
         Subject("transforms (instant-ngp)", lambda f: captures.write_ngp(f, ring), dataset, ("transforms.json", "images/000.png")),
@@ -191,7 +191,7 @@ def subjects() -> list[Subject]:
                 lambda f: page_cameras(f / "cameras.json"), ("cameras.json",)),
         Subject("study row", row, lambda f: read_row(f / "row.json"), ("row.json",)),
         Subject("survey", survey, read_survey, ("survey.npz",)),
-        Subject("resume folder", kept, lambda f: list(Kept(f, "key").read("stage")), ("*.npz",)),
+        Subject("resume folder", kept, lambda f: list(ResumeCache(f, "key").read("stage")), ("*.npz",)),
     ]  # fmt: skip
     for codec in ("png", "webp", "jpeg", "avif", "float"):
         files = ("s/scene.json",) if codec == "png" else ("s/*",)

@@ -34,7 +34,7 @@ from snerg.core.io.images import over, write_png
 from snerg.core.nerf.checkpoint import read_field
 from snerg.core.progress import silent
 from snerg.core.rendering.render import MarchSettings
-from snerg.core.scene.scene import Snerg
+from snerg.core.scene.scene import Scene
 from snerg.core.study.contact_sheet import contact_sheet, error_picture
 from snerg.core.study.evaluate import COLUMNS, Score, Target, held_out, open_target
 from snerg.core.training.provenance import options_of, trained
@@ -109,7 +109,7 @@ class Setup:
         return facts
 
     @cached_property
-    def scene(self) -> Snerg:
+    def scene(self) -> Scene:
         """The whole method's scene."""
         self.whole()
         return read_scene(self.out / "scenes" / "whole")

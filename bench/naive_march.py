@@ -8,10 +8,10 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.nerf.frame import Composited, shade
 from snerg.core.rendering.packet_traversal import enter
 from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
-from snerg.core.scene.scene import Snerg
+from snerg.core.scene.scene import Scene
 
 
-def naive_march(snerg: Snerg, camera: Camera) -> np.ndarray:
+def naive_march(snerg: Scene, camera: Camera) -> np.ndarray:
     """[H, W, 3] over white: what one writes first in NumPy, float32, without skipping, early stop, batches or threads."""
     origins, directions = camera.rays()
     entry, direction, start, stop = enter(snerg, origins, directions, max(snerg.near, camera.near))
@@ -28,7 +28,7 @@ def naive_march(snerg: Snerg, camera: Camera) -> np.ndarray:
     return np.clip(colour + through[:, None], 0, 1).reshape(camera.height, camera.width, 3)
 
 
-def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
+def trilinear(snerg: Scene, points: np.ndarray) -> np.ndarray:
     """Points [N, 3] in voxels to values [N, C] in [0, 1]; nothing in blocks without a cell."""
     block = np.clip((points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
     cell = snerg.indirection[tuple(block.T)]

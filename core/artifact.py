@@ -14,7 +14,7 @@ from .nerf.checkpoint import is_field, read_field
 from .nerf.field import Field
 from .nerf.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
 from .progress import Progress, silent
-from .scene.scene import Snerg
+from .scene.scene import Scene
 
 Result = dict[str, Any]
 
@@ -46,7 +46,7 @@ def is_dataset(path: Path) -> bool:
         return False  # a folder that may not be looked into
 
 
-def any_scene(path: Path, progress: Progress = silent) -> Snerg:
+def any_scene(path: Path, progress: Progress = silent) -> Scene:
     """A baked scene of ours, in a folder or in a web page's, or one in the reference layout."""
     kind = kind_of(path)
     if kind == "page" and is_scene(path / "scene"):

@@ -34,8 +34,8 @@ from snerg.core.io.files import folder_bytes, json_bytes, write_bytes
 from snerg.core.io.images import over, write_png
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.render import render_field
-from snerg.core.rendering.render import march
-from snerg.core.scene.scene import Snerg
+from snerg.core.rendering.render import render_scene
+from snerg.core.scene.scene import Scene
 from snerg.core.study.contact_sheet import contact_sheet, error_picture
 from snerg.core.study.evaluate import Score
 from snerg.core.training.config import PRESETS
@@ -85,7 +85,7 @@ def main() -> int:
     with watch.stage("refine"):
         refined, _ = refine(baked, views, RefineSettings(), watch.progress)
     with watch.stage("preview"):
-        preview = [march(refined, camera).over() for camera in held_out.cameras]
+        preview = [render_scene(refined, camera).over() for camera in held_out.cameras]
     with watch.stage("export"):
         write_scene(refined, options.out / "scene")
         write_reference(refined, options.out / "reference", held_out.cameras[0])
@@ -131,12 +131,12 @@ def capture(options: argparse.Namespace, watch: Stopwatch) -> None:
     render_dataset(scene, shots, options.out / "dataset", box=box, progress=watch.progress)
 
 
-def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: Snerg, preview: Pictures) -> None:
+def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: Scene, preview: Pictures) -> None:
     """Measure the three stages against the held-out renders; write report.json and contact.png; print the table."""
     truth = [over(held_out.read(index)) for index in range(len(held_out.views))]
     stages = {
         "field": [render_field(field, camera).over() for camera in held_out.cameras],
-        "bake": [march(baked, camera).over() for camera in held_out.cameras],
+        "bake": [render_scene(baked, camera).over() for camera in held_out.cameras],
         "refined": preview,
     }
     quality = {name: measure(pictures, truth) for name, pictures in stages.items()}

@@ -17,7 +17,7 @@ from ..core.geometry.camera import Camera
 from ..core.jobs.runner import State, outcome
 from ..core.nerf.frame import Frame
 from ..core.rendering.render import INVISIBLE, MarchSettings, progressive
-from ..core.scene.scene import Snerg
+from ..core.scene.scene import Scene
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated
@@ -149,10 +149,10 @@ def enlarged(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
     return pixels.repeat(times, axis=0).repeat(times, axis=1)[:height, :width] if times > 1 else pixels
 
 
-_loaded: tuple[Path, int, Snerg] | None = None
+_loaded: tuple[Path, int, Scene] | None = None
 
 
-def loaded(project: Project) -> Snerg:
+def loaded(project: Project) -> Scene:
     """The project's baked scene, kept in memory until its files change."""
     global _loaded
     try:

@@ -13,17 +13,17 @@ from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.nerf.checkpoint import read_field
 from ..core.study.cost_model import estimate
-from ..core.study.field_probe import Survey
+from ..core.study.field_probe import FieldProbe
 from ..core.study.field_probe_file import read_survey, stamp
 from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 
 KEPT = 16  # answers: more than there are windows
-_surveys: dict[Path, tuple[tuple[int, int], Survey | None]] = {}
+_surveys: dict[Path, tuple[tuple[int, int], FieldProbe | None]] = {}
 _told: dict[str, list[str]] = {}
 
 
-def survey_of(project: Project) -> Survey | None:
+def survey_of(project: Project) -> FieldProbe | None:
     """What is known of the project's field; None where it was not looked at since it was written. Read again when a file changed."""
     try:
         written = (project.survey.stat().st_mtime_ns, (project.field / "field.npz").stat().st_mtime_ns)
@@ -54,7 +54,7 @@ def texts(context: bpy.types.Context) -> list[str]:
         return [str(error)]
 
 
-def _lines(survey: Survey, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> list[str]:
+def _lines(survey: FieldProbe, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> list[str]:
     """Remembered as long as nothing changes: a panel is drawn far more often than that."""
     key = json.dumps([id(survey), box.to_json(), str(settings), refine, size])
     if key not in _told:

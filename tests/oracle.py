@@ -10,7 +10,7 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.nerf.frame import NETWORK_TRANSMITTANCE
 from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
-from snerg.core.scene.scene import Snerg
+from snerg.core.scene.scene import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Truth:
         return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
 
 
-def dense_march(snerg: Snerg, camera: Camera, per_sample_network: bool = False) -> Truth:
+def dense_march(snerg: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
     """Every sample of every ray, one after the other (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
     values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near), per_sample_network)
@@ -47,7 +47,7 @@ def dense_march(snerg: Snerg, camera: Camera, per_sample_network: bool = False) 
 
 
 def dense_rays(
-    snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
+    snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world; depth in units of
     the grid's space."""
@@ -73,7 +73,7 @@ def dense_rays(
         t = start + 0.5 + k
         live = np.flatnonzero(t < leaves)
         if not len(live):
-            return fill(values, through, depth) if snerg.fill_holes else (values, through, depth)
+            return fill(values, through, depth) if snerg.opacity_correction else (values, through, depth)
         sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
         if per_sample_network:  # as a surface of the sample's own colour would look, alpha times
             alpha = sample[:, -1:]
@@ -115,7 +115,7 @@ def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance:
     return np.linalg.norm(local @ ndc.camera_to_world[:3, :3].T + ndc.camera_to_world[:3, 3] - origins, axis=-1)
 
 
-def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
+def trilinear(snerg: Scene, points: np.ndarray) -> np.ndarray:
     """[N, 3] voxel coordinates inside the grid to [N, C] in [0, 1]; nothing in blocks without a cell."""
     block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
     cell = snerg.indirection[tuple(block.T)]
@@ -131,7 +131,7 @@ def trilinear(snerg: Snerg, points: np.ndarray) -> np.ndarray:
     return result
 
 
-def residual(snerg: Snerg, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def residual(snerg: Scene, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Equation 7, written out in float64."""
     network = [np.asarray(a, np.float64) for a in snerg.network or ()]
     waves = [f(2.0**k * directions) for f in (np.sin, np.cos) for k in range(4)]

@@ -15,9 +15,9 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import to_uint8, write_png
 from snerg.core.nerf.model import SHAPES, ViewNetwork
-from snerg.core.rendering.render import march
+from snerg.core.rendering.render import render_scene
 from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
-from snerg.core.scene.scene import Snerg, blocks_of
+from snerg.core.scene.scene import Scene, blocks_of
 
 
 def rotation(angles: tuple[float, float, float]) -> np.ndarray:
@@ -66,7 +66,7 @@ def volume(shape: tuple[int, int, int], fog: bool = True) -> np.ndarray:
     return result
 
 
-def snerg_from_volume(values: np.ndarray, network: ViewNetwork | None, **settings: object) -> Snerg:
+def snerg_from_volume(values: np.ndarray, network: ViewNetwork | None, **settings: object) -> Scene:
     """Cut [X, Y, Z, C] uint8 into cells; a block has one where its 32^3 voxels, apron included, hold anything."""
     shape = values.shape[:3]
     blocks = blocks_of(shape)
@@ -81,7 +81,7 @@ def snerg_from_volume(values: np.ndarray, network: ViewNetwork | None, **setting
             indirection[block] = len(cells)
             cells.append(cell)
     stacked = np.stack(cells) if cells else np.zeros((0, *(CELL_VOXELS,) * 3, values.shape[-1]), np.uint8)
-    return Snerg(shape=shape, indirection=indirection, cells=stacked, network=network, **settings)  # type: ignore[arg-type]
+    return Scene(shape=shape, indirection=indirection, cells=stacked, network=network, **settings)  # type: ignore[arg-type]
 
 
 def make_snerg(
@@ -93,8 +93,8 @@ def make_snerg(
     size: float = 2.0,
     near: float = 0.0,
     ndc: Ndc | None = None,
-    fill_holes: bool = False,
-) -> Snerg:
+    opacity_correction: bool = False,
+) -> Scene:
     """The scene of `volume` in a box turned by `angles`, around `centre`, `size` world units along its shortest axis."""
     values = volume(shape, fog)
     voxel_size = size / min(shape)
@@ -110,11 +110,11 @@ def make_snerg(
         near=near,
         about={"source": "tests"},
         ndc=ndc,
-        fill_holes=fill_holes,
+        opacity_correction=opacity_correction,
     )
 
 
-def empty_snerg(shape: tuple[int, int, int] = (40, 30, 20)) -> Snerg:
+def empty_snerg(shape: tuple[int, int, int] = (40, 30, 20)) -> Scene:
     """A scene with nothing in it (hard case 57)."""
     pose = np.eye(4)
     return snerg_from_volume(np.zeros((*shape, 4), np.uint8), None, grid_to_world=pose, voxel_size=0.05)
@@ -159,10 +159,16 @@ def make_frame(scale: float = 1.0, position: tuple[float, float, float] = (0.5, 
     return Ndc(looking(position, tuple(target)), (1.6, 2.1), 1.2 * scale)
 
 
-def make_forward(diffuse: bool = False, scale: float = 1.0, position: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> Snerg:
+def make_forward(diffuse: bool = False, scale: float = 1.0, position: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> Scene:
     """The scene of `volume` in device coordinates, up to infinity and past it."""
     return make_snerg(
-        (44, 40, 57), diffuse, angles=(0.05, -0.1, 0.15), size=1.44, ndc=make_frame(scale, position), near=0.1 * scale, fill_holes=True
+        (44, 40, 57),
+        diffuse,
+        angles=(0.05, -0.1, 0.15),
+        size=1.44,
+        ndc=make_frame(scale, position),
+        near=0.1 * scale,
+        opacity_correction=True,
     )
 
 
@@ -198,6 +204,6 @@ def make_dataset(folder: Path, train: int = 12, test: int = 3, size: int = 40) -
             eye = 4.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
             pose = looking(tuple(eye), (0, 0, 0))
             cameras.append(Camera(size, size, (1.6 * size, 1.6 * size), (size / 2, size / 2), pose, name=f"{split}_{index}"))
-            write_png(folder / split / f"{index}.png", to_uint8(march(snerg, cameras[-1]).straight()))
+            write_png(folder / split / f"{index}.png", to_uint8(render_scene(snerg, cameras[-1]).straight()))
         write_transforms(folder / f"transforms_{split}.json", cameras, [f"./{split}/{i}" for i in range(count)], snerg.box)
     return folder

@@ -14,7 +14,7 @@ from snerg.core.artifact import any_scene
 from snerg.core.commands.info import info
 from snerg.core.commands.train import train_field
 from snerg.core.nerf.checkpoint import FILE, read_field
-from snerg.core.rendering.render import march
+from snerg.core.rendering.render import render_scene
 
 WRITTEN = Path(__file__).parent / "data" / "written_by_0_1"
 SETTINGS = {  # of its fields
@@ -42,7 +42,7 @@ def test_a_field_evaluates_as_it_did(expected, name):
 
 
 def test_a_scene_renders_as_it_did(expected):
-    frame = march(any_scene(WRITTEN / "scene"), make_cameras(width=24, height=18)[0])
+    frame = render_scene(any_scene(WRITTEN / "scene"), make_cameras(width=24, height=18)[0])
     np.testing.assert_allclose(frame.colour, expected["scene_colour"], atol=1e-5)
     np.testing.assert_allclose(frame.alpha, expected["scene_alpha"], atol=1e-5)
     assert info(WRITTEN / "scene")["effects"] == {"view_dependence": True, "ndc": False, "fill_holes": False}

@@ -19,13 +19,13 @@ from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
 from ..scene.blocks import counts, grow, number, reach, renumbered
-from ..scene.scene import Snerg
-from ..scene.voxel_grid import FINEST, Lattice
+from ..scene.scene import Scene
+from ..scene.voxel_grid import FINEST, VoxelGrid
 from .memory import check_fits
-from .occupied_voxels import find_matter
+from .occupied_voxels import find_occupied_voxels
 from .opacity_correction import hole_errors
 from .prefilter import fill
-from .resume import Kept
+from .resume import ResumeCache
 from .supersampling import choose_samples
 from .visibility import visible_voxels
 
@@ -39,8 +39,8 @@ class BakeSettings:
     """resolution: voxels along the box's longest side; voxel_size, in units of the scene, takes its place where given.
     samples: points averaged in a voxel, Gaussian with a standard deviation of voxel / sqrt(12); 0: as many as measuring shows to be
     worth their time. alpha_threshold: blocks along no row of which so much opacity adds up are culled; visibility_threshold:
-    voxels that no camera sees with at least this transmittance are culled (section 5.3). seed: of the jitter. fill_holes:
-    see Snerg; None: in forward-facing scenes, as in the paper (supplement C.3), whose rays come nearer to the field's with it.
+    voxels that no camera sees with at least this transmittance are culled (section 5.3). seed: of the jitter. opacity_correction:
+    see Scene; None: in forward-facing scenes, as in the paper (supplement C.3), whose rays come nearer to the field's with it.
 
     For comparison (table 1 of the paper): visibility False keeps what no camera sees; quantise False keeps float32;
     network False leaves out view dependence and its features.
@@ -51,7 +51,7 @@ class BakeSettings:
     alpha_threshold: float = 0.005
     visibility_threshold: float = 0.01
     seed: int = 0
-    fill_holes: bool | None = None
+    opacity_correction: bool | None = None
     voxel_size: float | None = None
     visibility: bool = True
     quantise: bool = True
@@ -76,7 +76,7 @@ def bake(
     settings: BakeSettings = BakeSettings(),
     progress: Progress = silent,
     resume: Path | None = None,
-) -> Snerg:
+) -> Scene:
     """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.
 
     cameras: those that decide what is visible; none keeps everything. resume: a folder that holds what is finished, so that the
@@ -88,30 +88,30 @@ def bake(
     scene; `about` says so.
     """
     check_field(field)
-    lattice = Lattice.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
+    voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     channels = 8 if settings.network and field.network is not None else 4
-    looks = LOOKED_UP if field.ndc is not None and settings.fill_holes is None else 0
-    check_fits(field, box, lattice, channels * (1 if settings.quantise else 4) + looks)
-    kept = Kept(resume, key_of(field, box, cameras, settings) if resume is not None else "")
+    looks = LOOKED_UP if field.ndc is not None and settings.opacity_correction is None else 0
+    check_fits(field, box, voxel_grid, channels * (1 if settings.quantise else 4) + looks)
+    kept = ResumeCache(resume, key_of(field, box, cameras, settings) if resume is not None else "")
     tell, clock = TimeLeft(progress), _Clock()
 
-    matter = find_matter(field, lattice, settings.alpha_threshold, kept, lambda f: tell(0.25 * f, "Looking where something is"))
+    matter = find_occupied_voxels(field, voxel_grid, settings.alpha_threshold, kept, lambda f: tell(0.25 * f, "Looking where something is"))
     clock.lap("occupancy")
     indirection = number(reach(matter.bits, matter.indirection))
     bits = grow(renumbered(matter.bits, matter.indirection, indirection), indirection)
     voxels: dict[str, int | None] = {"held": int(counts(bits).sum()), "seen": None}
     light = None
     if cameras and settings.visibility and len(bits):
-        seen, light = visible_voxels(matter, lattice, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
+        seen, light = visible_voxels(matter, voxel_grid, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
         bits &= renumbered(seen, matter.indirection, indirection)
         voxels["seen"] = int(counts(bits).sum())
     clock.lap("visibility")
     samples, evidence = settings.samples, None
     if samples == AUTO:
-        samples, evidence = choose_samples(field, lattice, bits, indirection, settings.seed)
+        samples, evidence = choose_samples(field, voxel_grid, bits, indirection, settings.seed)
     cells, indirection = fill(
         field,
-        lattice,
+        voxel_grid,
         bits,
         indirection,
         channels,
@@ -138,8 +138,8 @@ def bake(
     if not len(cells):
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
     network = field.network if channels == 8 else None
-    snerg = Snerg(
-        lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, network, about={"bake": about}, ndc=field.ndc
+    snerg = Scene(
+        voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, network, about={"bake": about}, ndc=field.ndc
     )
     snerg = with_equation_9(snerg, field, cameras, settings, lambda f: tell(0.98 + 0.02 * f, "Looking for holes"))
     clock.lap("holes")
@@ -147,17 +147,17 @@ def bake(
     return snerg
 
 
-def with_equation_9(snerg: Snerg, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]) -> Snerg:
+def with_equation_9(snerg: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]) -> Scene:
     """The scene with equation 9 where the settings say so, or, in a forward-facing one, where its rays come nearer to the field's with it
     (or there are none)."""
-    fills = settings.fill_holes
+    fills = settings.opacity_correction
     if fills is None and snerg.ndc is not None and cameras and len(snerg.cells):
         errors = hole_errors(field, snerg, cameras, settings.seed, tell)
         snerg.about["bake"]["holes"] = errors
         fills = errors["with"] < errors["without"]
     if fills is None:
         fills = snerg.ndc is not None
-    return replace(snerg, fill_holes=True) if fills else snerg
+    return replace(snerg, opacity_correction=True) if fills else snerg
 
 
 def check_lengths(settings: BakeSettings, field: Field) -> None:

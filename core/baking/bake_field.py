@@ -11,7 +11,7 @@ from ..data.dataset import Dataset
 from ..errors import needs_jax
 from ..geometry.box import Box
 from ..progress import Progress, silent, within
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from ..training.provenance import background_of, trained
 from .bake import BakeSettings
 
@@ -26,7 +26,7 @@ def bake_field(
     dataset: Dataset | None,
     progress: Progress = silent,
     resume: Path | None = None,
-) -> tuple[Snerg, dict[str, float]]:
+) -> tuple[Scene, dict[str, float]]:
     """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX).
 
     resume: see grid.bake.bake.

@@ -18,7 +18,7 @@ from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import ViewNetwork, as_numpy, view_residual
 from ..progress import Progress, silent, within
 from ..rendering.render import TILE, MarchSettings, march_rays
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 
 TENTH = 10  # every tenth view is judged by
 
@@ -56,11 +56,11 @@ class Gathered:
 
 
 def refine(
-    snerg: Snerg,
+    snerg: Scene,
     dataset: Dataset,
     settings: RefineSettings = RefineSettings(),
     progress: Progress = silent,
-) -> tuple[Snerg, dict[str, Any]]:
+) -> tuple[Scene, dict[str, Any]]:
     """A scene with a network that makes up for what baking and quantising changed, and a report of the gain.
 
     A tenth of the views is kept out to judge by (of a few views, a tenth of the pixels); the best network on those is what comes back,
@@ -82,7 +82,7 @@ def refine(
     return replace(snerg, network=network, about={**snerg.about, "refine": report}), report
 
 
-def gather(snerg: Snerg, dataset: Dataset, settings: RefineSettings, progress: Progress) -> Gathered:
+def gather(snerg: Scene, dataset: Dataset, settings: RefineSettings, progress: Progress) -> Gathered:
     """March a random share of every view's pixels, and keep those where the network runs and the view's mask does not hide them.
 
     The network is defined over white: another background adds to the image, over white, what white adds to the scene.

@@ -13,36 +13,36 @@ from ..geometry.box import Box
 from ..nerf.field import Field
 from ..nerf.volume_rendering import optical_depth
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, covered
-from ..scene.voxel_grid import Lattice
+from ..scene.voxel_grid import VoxelGrid
 
 WORKING = 600 * 2**20  # bytes that a bake takes whatever its size: slabs, the field, JAX
 BESIDE = 1.15  # of the atlas, with masks, and what is marched for visibility
 LOOK = 128  # voxels along the longest side of the first look; half as many where no occupancy says where to look
 
 
-def check_fits(field: Field, box: Box, lattice: Lattice, voxel_bytes: int, available: int | None = None) -> int:
+def check_fits(field: Field, box: Box, voxel_grid: VoxelGrid, voxel_bytes: int, available: int | None = None) -> int:
     """The bytes that a bake will need, about. Raises SnergError, with the largest resolution that fits, when there are not as many.
 
     voxel_bytes: of a voxel of the atlas; available: see `available_bytes`, which is asked when None. A bake that would fit
     with every block full is not looked into.
     """
     available = available_bytes() if available is None else available
-    dense = bytes_needed(int(np.prod(lattice.blocks)), voxel_bytes)
+    dense = bytes_needed(int(np.prod(voxel_grid.blocks)), voxel_bytes)
     if available is None or dense <= available:
         return dense
     points = full_points(field, box)
-    needed = bytes_needed(blocks_met(points, lattice), voxel_bytes)
+    needed = bytes_needed(blocks_met(points, voxel_grid), voxel_bytes)
     if needed <= available:
         return needed
-    low, high = 1, max(lattice.shape)  # the largest that fits lies between
+    low, high = 1, max(voxel_grid.shape)  # the largest that fits lies between
     while high - low > 1:
         middle = (low + high) // 2
-        tried = Lattice.inside(box, float(box.size.max()) / middle)
+        tried = VoxelGrid.inside(box, float(box.size.max()) / middle)
         low, high = (middle, high) if bytes_needed(blocks_met(points, tried), voxel_bytes) <= available else (low, middle)
     gigabytes = f"about {needed / 2**30:.1f} GB of memory, and {available / 2**30:.1f} GB are free"
     if low < 2:
         raise SnergError(f"Baking needs {gigabytes}; close other programs, or make the box smaller.")
-    raise SnergError(f"A bake of {max(lattice.shape) - 2} voxels along the longest side needs {gigabytes}; choose at most {low}.")
+    raise SnergError(f"A bake of {max(voxel_grid.shape) - 2} voxels along the longest side needs {gigabytes}; choose at most {low}.")
 
 
 def bytes_needed(blocks: int, voxel_bytes: int) -> int:
@@ -52,25 +52,25 @@ def bytes_needed(blocks: int, voxel_bytes: int) -> int:
 
 def full_points(field: Field, box: Box) -> tuple[np.ndarray, float]:
     """Centres [N, 3] of the voxels of a coarse lattice in the box where the field holds something, and their size."""
-    lattice = Lattice.inside(box, float(box.size.max()) / (LOOK if field.occupancy is not None else LOOK // 2))
+    voxel_grid = VoxelGrid.inside(box, float(box.size.max()) / (LOOK if field.occupancy is not None else LOOK // 2))
     found = []
-    for x in range(lattice.shape[0]):  # a slice at a time
-        plane = np.stack(np.meshgrid(x, *(np.arange(n) for n in lattice.shape[1:]), indexing="ij"), axis=-1).reshape(-1, 3)
-        points = lattice.points(plane)
+    for x in range(voxel_grid.shape[0]):  # a slice at a time
+        plane = np.stack(np.meshgrid(x, *(np.arange(n) for n in voxel_grid.shape[1:]), indexing="ij"), axis=-1).reshape(-1, 3)
+        points = voxel_grid.points(plane)
         points = points[field.holds(field.domain.from_world(points))]
         if len(points):
-            depth = optical_depth(np, field.query(points)[0], np.float32(lattice.voxel_size))
+            depth = optical_depth(np, field.query(points)[0], np.float32(voxel_grid.voxel_size))
             found.append(points[depth > 0.005])
-    return np.concatenate(found) if found else np.zeros((0, 3)), lattice.voxel_size
+    return np.concatenate(found) if found else np.zeros((0, 3)), voxel_grid.voxel_size
 
 
-def blocks_met(full: tuple[np.ndarray, float], lattice: Lattice) -> int:
+def blocks_met(full: tuple[np.ndarray, float], voxel_grid: VoxelGrid) -> int:
     """How many blocks of a lattice the cubes round points [N, 3] meet, about: as if they stood along its axes."""
     points, size = full
-    middle = (points - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / lattice.voxel_size
-    half = size / lattice.voxel_size / 2
+    middle = (points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size
+    half = size / voxel_grid.voxel_size / 2
     first, last = (np.floor((middle + way * half) / DATA_VOXELS).astype(np.int64) for way in (-1, 1))
-    return int(covered(first, last, lattice.blocks).sum())
+    return int(covered(first, last, voxel_grid.blocks).sum())
 
 
 def available_bytes() -> int | None:

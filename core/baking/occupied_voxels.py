@@ -10,8 +10,8 @@ import numpy as np
 from ..nerf.field import Field
 from ..nerf.volume_rendering import optical_depth
 from ..scene.blocks import DATA_VOXELS, covered, number, pack
-from ..scene.voxel_grid import Lattice
-from .resume import Arrays, Kept, are, each
+from ..scene.voxel_grid import VoxelGrid
+from .resume import Arrays, ResumeCache, are, each
 
 SLAB = 8  # blocks looked at together
 FAINT = np.float32(1 / 1024)  # optical depth of a voxel up to which it is left out, unless many add up
@@ -19,7 +19,7 @@ NOTHING = np.float32(1e-6)
 
 
 @dataclass(frozen=True, eq=False)
-class Matter:
+class OccupiedVoxels:
     """What a field holds on a lattice.
 
     indirection: int32 [bx, by, bz], number of a block or -1. bits: uint32 [M, 30, 30], voxels that hold something (see blocks.py).
@@ -33,17 +33,19 @@ class Matter:
     lost: float
 
 
-def find_matter(field: Field, lattice: Lattice, threshold: float, kept: Kept, tell: Callable[[float], None]) -> Matter:
+def find_occupied_voxels(
+    field: Field, voxel_grid: VoxelGrid, threshold: float, kept: ResumeCache, tell: Callable[[float], None]
+) -> OccupiedVoxels:
     """Look for what a field holds at the centres of a lattice's voxels.
 
     threshold: opacity that must add up along some row of a block's 30 voxels for the block, or for its faint voxels, to be kept.
     A threshold on each voxel would depend on their size: a hundred voxels just under 0.005 are 39% opaque (hard case 52).
     """
-    candidates = np.argwhere(may_hold(field, lattice))
+    candidates = np.argwhere(may_hold(field, voxel_grid))
 
     def look(slab: int) -> Arrays:
         places = candidates[slab * SLAB : (slab + 1) * SLAB]
-        return judge(depth_at(field, lattice, places), -np.log1p(-threshold))
+        return judge(depth_at(field, voxel_grid, places), -np.log1p(-threshold))
 
     def fits(slab: int, arrays: Arrays) -> bool:
         size = len(candidates[slab * SLAB : (slab + 1) * SLAB])
@@ -54,56 +56,56 @@ def find_matter(field: Field, lattice: Lattice, threshold: float, kept: Kept, te
 
     found = dict(each("occupancy", -(-len(candidates) // SLAB), look, kept, tell, fits))
     full = _joined(found, "full", np.zeros(0, bool))
-    mask = np.zeros(lattice.blocks, bool)
+    mask = np.zeros(voxel_grid.blocks, bool)
     mask[tuple(candidates[full].T)] = True
-    lost = np.zeros((*lattice.blocks, 3), np.float32)
+    lost = np.zeros((*voxel_grid.blocks, 3), np.float32)
     lost[tuple(candidates.T)] = _joined(found, "lost", np.zeros((0, 3), np.float32))
     along = max(float(lost[..., axis].sum(axis=axis).max(initial=0)) for axis in range(3))
     bits = _joined(found, "bits", np.zeros((0, DATA_VOXELS, DATA_VOXELS), np.uint32))
     coarse = _joined(found, "coarse", np.zeros((0, *(DATA_VOXELS // 2,) * 3), np.uint8))
-    return Matter(number(mask), bits, coarse, -float(np.expm1(-along)))
+    return OccupiedVoxels(number(mask), bits, coarse, -float(np.expm1(-along)))
 
 
 def _joined(found: dict[int, Arrays], name: str, empty: np.ndarray) -> np.ndarray:
     return np.concatenate([empty, *(found[slab][name] for slab in sorted(found))])
 
 
-def may_hold(field: Field, lattice: Lattice) -> np.ndarray:
+def may_hold(field: Field, voxel_grid: VoxelGrid) -> np.ndarray:
     """bool [bx, by, bz]: blocks that meet an occupied cell of the field's own grid, or all where it has none."""
     if field.occupancy is None:
-        return np.ones(lattice.blocks, bool)
+        return np.ones(voxel_grid.blocks, bool)
     cells = round(len(field.occupancy) ** (1 / 3))
     cell = np.stack(np.unravel_index(np.flatnonzero(field.occupancy), (cells,) * 3), axis=-1)
     centres = field.domain.to_world((cell + 0.5) * (2 / cells) - 1)
-    rotation, voxel = lattice.grid_to_world[:3, :3], lattice.voxel_size
-    middle = (centres - lattice.grid_to_world[:3, 3]) @ rotation / voxel
+    rotation, voxel = voxel_grid.grid_to_world[:3, :3], voxel_grid.voxel_size
+    middle = (centres - voxel_grid.grid_to_world[:3, 3]) @ rotation / voxel
     half = np.abs(rotation).sum(axis=0) / (cells * field.domain.scale * voxel) + 1e-3
     first, last = (np.floor((middle + way * half) / DATA_VOXELS).astype(np.int64) for way in (-1, 1))
-    return covered(first, last, lattice.blocks)
+    return covered(first, last, voxel_grid.blocks)
 
 
-def depth_at(field: Field, lattice: Lattice, places: np.ndarray) -> np.ndarray:
+def depth_at(field: Field, voxel_grid: VoxelGrid, places: np.ndarray) -> np.ndarray:
     """Optical depth float32 [B, 30, 30, 30] of one voxel's length at the voxels' centres of blocks at places [B, 3]."""
     depth = np.zeros((len(places), DATA_VOXELS**3), np.float32)
     held, points = [], []
     for place in places:  # a block's points fit the caches
-        centres = lattice.centres(place[None])
+        centres = voxel_grid.centres(place[None])
         held.append(np.flatnonzero(field.holds(field.domain.from_world(centres))))
         points.append(centres[held[-1]])
     together = np.concatenate(points)
-    found = optical_depth(np, field.query(together)[0], np.float32(lattice.voxel_size)) if len(together) else np.zeros(0)
+    found = optical_depth(np, field.query(together)[0], np.float32(voxel_grid.voxel_size)) if len(together) else np.zeros(0)
     ends = np.cumsum([len(some) for some in held])
     for row, end in enumerate(ends):
         depth[row, held[row]] = found[end - len(held[row]) : end]
     blocks = depth.reshape(-1, *(DATA_VOXELS,) * 3)
-    lattice.clear_outside(blocks, places)
+    voxel_grid.clear_outside(blocks, places)
     return blocks
 
 
 def judge(depth: np.ndarray, least: float) -> Arrays:
     """What is kept of blocks [B, 30, 30, 30] by optical depth, where `least` must add up along a row of one.
 
-    "full" bool [B]: which are; of those "bits" and "coarse" (see Matter). "lost" [B, 3]: depth left out of all of them, at most,
+    "full" bool [B]: which are; of those "bits" and "coarse" (see OccupiedVoxels). "lost" [B, 3]: depth left out of all of them, at most,
     along each axis.
     """
     thick = depth > FAINT
@@ -120,7 +122,7 @@ def longest(depth: np.ndarray) -> np.ndarray:
 
 
 def halve(depth: np.ndarray) -> np.ndarray:
-    """Optical depth [B, 30, 30, 30] of a voxel's length to `Matter.coarse`: never more than light would be stopped on average."""
+    """Optical depth [B, 30, 30, 30] of a voxel's length to `OccupiedVoxels.coarse`: never more than light would be stopped on average."""
     through = np.exp(-depth)
     for axis in (1, 2, 3):
         even, odd = ((slice(None),) * axis + (slice(start, None, 2),) for start in (0, 1))

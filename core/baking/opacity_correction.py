@@ -13,13 +13,13 @@ from ..nerf.frame import Composited, shade
 from ..nerf.render import through_space
 from ..rendering.packet_traversal import enter
 from ..rendering.render import filled, march_rays
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 
 CAMERAS = 8  # looked from, spread over all
 RAYS = 128  # of each
 
 
-def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]) -> dict[str, float]:
+def hole_errors(field: Field, snerg: Scene, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]) -> dict[str, float]:
     """{"with": ..., "without": ...}: how far the rays of a scene that does without equation 9 are from the field's, with it and without it:
     root mean square of colour and transmittance.
 
@@ -41,7 +41,7 @@ def hole_errors(field: Field, snerg: Snerg, cameras: Sequence[Camera], seed: int
     return {name: round(float(np.sqrt(np.mean((np.concatenate(parts) - truth) ** 2))), 5) for name, parts in values.items()}
 
 
-def field_rays(field: Field, snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> Composited:
+def field_rays(field: Field, snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float) -> Composited:
     """What rays of the world [N, 3] gather of a field inside a scene's grid."""
     *_, start, stop = enter(snerg, origins, directions, near)
     o, d, *_ = space_rays(snerg.ndc, origins, directions, near)

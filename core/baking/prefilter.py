@@ -10,9 +10,9 @@ import numpy as np
 from ..nerf.field import Field
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, counts, fill_aprons, number, pack, places_of, reach, renumbered, unpack
 from ..scene.quantize import quantize
-from ..scene.voxel_grid import Lattice
+from ..scene.voxel_grid import VoxelGrid
 from .jitter import voxel_uniform
-from .resume import Arrays, Kept, are, each
+from .resume import Arrays, ResumeCache, are, each
 from .supersampling import average
 
 VOXELS = 2**16  # of a slab, about
@@ -20,14 +20,14 @@ VOXELS = 2**16  # of a slab, about
 
 def fill(
     field: Field,
-    lattice: Lattice,
+    voxel_grid: VoxelGrid,
     bits: np.ndarray,
     indirection: np.ndarray,
     channels: int,
     samples: int,
     seed: int,
     quantised: bool,
-    kept: Kept,
+    kept: ResumeCache,
     tell: Callable[[float], None],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Bake the voxels of a mask [M, 30, 30] into cells [R, 32, 32, 32, C] and their own indirection grid.
@@ -42,7 +42,7 @@ def fill(
     def work(slab: int) -> Arrays:
         row, *local = np.nonzero(unpack(bits[slabs[slab]]))
         voxels = places[slabs[slab]][row] * DATA_VOXELS + np.stack(local, axis=-1)
-        colour, alpha = average(field, lattice, voxels, samples, seed)
+        colour, alpha = average(field, voxel_grid, voxels, samples, seed)
         values = np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1)
         return {"values": quantize(values, voxel_uniform(voxels, channels, seed + 1)) if quantised else values}
 

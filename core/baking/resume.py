@@ -23,7 +23,7 @@ SAVE_EVERY = 5.0  # seconds of work that a kill may cost
 LOOK_EVERY = 0.2  # seconds between two looks whether to stop
 
 
-class Kept:
+class ResumeCache:
     """Results of parts of work by stage and number, of the work that `key` names; without a folder nothing is kept.
 
     Every file is whole or not there, and its name says whose it is, so that other work in the same folder is never taken for this.
@@ -91,7 +91,7 @@ def each(
     stage: str,
     count: int,
     work: Callable[[int], Arrays],
-    kept: Kept,
+    kept: ResumeCache,
     tell: Callable[[float], None],
     fits: Callable[[int, Arrays], bool] = lambda part, arrays: True,
 ) -> Iterator[tuple[int, Arrays]]:

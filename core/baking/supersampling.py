@@ -9,7 +9,7 @@ import numpy as np
 from ..nerf.field import Field
 from ..nerf.volume_rendering import opacity, optical_depth
 from ..scene.blocks import DATA_VOXELS, places_of, unpack
-from ..scene.voxel_grid import Lattice
+from ..scene.voxel_grid import VoxelGrid
 from .jitter import voxel_normal
 
 MOST = 16
@@ -21,7 +21,7 @@ BLOCKS = 64  # from which the rays are drawn
 
 
 def choose_samples(
-    field: Field, lattice: Lattice, bits: np.ndarray, indirection: np.ndarray, seed: int
+    field: Field, voxel_grid: VoxelGrid, bits: np.ndarray, indirection: np.ndarray, seed: int
 ) -> tuple[int, list[dict[str, Any]]]:
     """The least of 1, 2, 4, 8 and 16 samples that doubling does not make better by GAIN, and what was measured.
 
@@ -37,17 +37,17 @@ def choose_samples(
         return 1, []
     some = np.sort(rng.choice(len(row), min(len(row), RAYS), replace=False))
     start = places_of(indirection)[rows[row[some]]] * DATA_VOXELS + np.stack(local, axis=-1)[some]
-    return worth(field, lattice, start, rng, seed)
+    return worth(field, voxel_grid, start, rng, seed)
 
 
-def worth(field: Field, lattice: Lattice, start: np.ndarray, rng: np.random.Generator, seed: int) -> tuple[int, list[dict[str, Any]]]:
+def worth(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, rng: np.random.Generator, seed: int) -> tuple[int, list[dict[str, Any]]]:
     """`choose_samples` by rays that start at voxels [N, 3] of the lattice."""
     direction = rng.normal(size=start.shape)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-    truth = composited(*field_along(field, lattice, start, direction))
-    samples, evidence = 1, [{"samples": 1, "error": _error(field, lattice, start, direction, 1, seed, truth)}]
+    truth = composited(*field_along(field, voxel_grid, start, direction))
+    samples, evidence = 1, [{"samples": 1, "error": _error(field, voxel_grid, start, direction, 1, seed, truth)}]
     while samples < MOST:
-        error = _error(field, lattice, start, direction, 2 * samples, seed, truth)
+        error = _error(field, voxel_grid, start, direction, 2 * samples, seed, truth)
         evidence.append({"samples": 2 * samples, "error": error})
         if error > (1 - GAIN) * evidence[-2]["error"]:
             break
@@ -55,22 +55,24 @@ def worth(field: Field, lattice: Lattice, start: np.ndarray, rng: np.random.Gene
     return samples, evidence
 
 
-def _error(field: Field, lattice: Lattice, start: np.ndarray, direction: np.ndarray, samples: int, seed: int, truth: np.ndarray) -> float:
-    baked = composited(*baked_along(field, lattice, start, direction, samples, seed))
+def _error(
+    field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray, samples: int, seed: int, truth: np.ndarray
+) -> float:
+    baked = composited(*baked_along(field, voxel_grid, start, direction, samples, seed))
     return round(float(np.sqrt(np.mean((baked - truth) ** 2))), 6)
 
 
-def field_along(field: Field, lattice: Lattice, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def field_along(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied RGB [N, K, 3] and opacity [N, K] of the field along rays in voxel coordinates, FINER to a voxel."""
     along = (np.arange(LENGTH * FINER) + 0.5) / FINER
     points = start[:, None] + direction[:, None] * along[:, None]
-    density, rgb, _ = field.query(lattice.points(points.reshape(-1, 3)))
-    alpha = opacity(np, optical_depth(np, density, np.float32(lattice.voxel_size / FINER)))
+    density, rgb, _ = field.query(voxel_grid.points(points.reshape(-1, 3)))
+    alpha = opacity(np, optical_depth(np, density, np.float32(voxel_grid.voxel_size / FINER)))
     return (rgb * alpha[:, None]).reshape(*points.shape), alpha.reshape(points.shape[:2])
 
 
 def baked_along(
-    field: Field, lattice: Lattice, start: np.ndarray, direction: np.ndarray, samples: int, seed: int
+    field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray, samples: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same from voxels baked with so many samples, interpolated as the marcher does, one to a voxel."""
     points = (start[:, None] + direction[:, None] * (np.arange(LENGTH) + 0.5)[:, None]).reshape(-1, 3)
@@ -79,7 +81,7 @@ def baked_along(
     for step in np.ndindex(2, 2, 2):
         there = corner + step
         weight = np.where(step, points - corner, 1 - (points - corner)).prod(axis=-1)
-        colour, alpha = average(field, lattice, np.maximum(there, 0), samples, seed)
+        colour, alpha = average(field, voxel_grid, np.maximum(there, 0), samples, seed)
         values = values + weight[:, None] * np.concatenate([colour[:, :3], alpha[:, None]], axis=-1)
     return values[:, :3].reshape(len(start), LENGTH, 3), values[:, 3].reshape(len(start), LENGTH)
 
@@ -91,7 +93,7 @@ def composited(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.concatenate([(before[..., None] * colour).sum(axis=1), through[:, -1:]], axis=-1)
 
 
-def average(field: Field, lattice: Lattice, voxels: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def average(field: Field, voxel_grid: VoxelGrid, voxels: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Premultiplied RGB and features [N, C], and opacity [N], averaged over each voxel's own jitter, at voxel indices [N, 3].
 
     Offsets come in pairs of opposite signs, so that no voxel's content moves (hard case 48); an odd one is the centre.
@@ -105,8 +107,8 @@ def average(field: Field, lattice: Lattice, voxels: np.ndarray, samples: int, se
     colour: Any = 0.0
     total = np.zeros(len(voxels), np.float32)
     for offset in signed:
-        density, rgb, features = field.query(lattice.points(voxels + offset))
-        alpha = opacity(np, optical_depth(np, density, np.float32(lattice.voxel_size)))
+        density, rgb, features = field.query(voxel_grid.points(voxels + offset))
+        alpha = opacity(np, optical_depth(np, density, np.float32(voxel_grid.voxel_size)))
         colour = colour + np.concatenate([rgb, features], axis=-1) * alpha[:, None]
         total += alpha
     return colour / np.float32(samples), total / np.float32(samples)

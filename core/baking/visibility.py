@@ -20,10 +20,10 @@ from ..nerf.frame import Composited
 from ..progress import Progress
 from ..rendering.render import MarchSettings, march_rays, tiled
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, SLAB, fill_aprons, grow, number, pack, places_of, unpack
-from ..scene.scene import Snerg
-from ..scene.voxel_grid import Lattice
-from .occupied_voxels import Matter
-from .resume import Kept, are
+from ..scene.scene import Scene
+from ..scene.voxel_grid import VoxelGrid
+from .occupied_voxels import OccupiedVoxels
+from .resume import ResumeCache, are
 
 HALF = DATA_VOXELS // 2
 MET = 0.99  # a ray that keeps less of its light has met something
@@ -51,11 +51,17 @@ class Light:
 
 
 def visible_voxels(
-    matter: Matter, lattice: Lattice, ndc: Ndc | None, cameras: Sequence[Camera], threshold: float, kept: Kept, progress: Progress
+    matter: OccupiedVoxels,
+    voxel_grid: VoxelGrid,
+    ndc: Ndc | None,
+    cameras: Sequence[Camera],
+    threshold: float,
+    kept: ResumeCache,
+    progress: Progress,
 ) -> tuple[np.ndarray, Light]:
     """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them; and what
     became of the light of all rays."""
-    scene = opacity_scene(matter, lattice.halved(), ndc)
+    scene = opacity_scene(matter, voxel_grid.halved(), ndc)
     visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
     for done, arrays in kept.read("visibility"):
         wanted = {"visited": ((-(-len(visited) // 8),), np.uint8), "light": ((3,), np.floating)}
@@ -80,10 +86,10 @@ def visible_voxels(
     return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection), light
 
 
-def opacity_scene(matter: Matter, lattice: Lattice, ndc: Ndc | None) -> Snerg:
+def opacity_scene(matter: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: Ndc | None) -> Scene:
     """A scene of opacity alone on the lattice of voxels twice as large; faint voxels stay, so that fog adds up."""
     places = places_of(matter.indirection)
-    mask = np.zeros(lattice.blocks, bool)
+    mask = np.zeros(voxel_grid.blocks, bool)
     mask[tuple((places // 2).T)] = True
     indirection = number(mask)
     cells = np.zeros((int(mask.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
@@ -92,7 +98,7 @@ def opacity_scene(matter: Matter, lattice: Lattice, ndc: Ndc | None) -> Snerg:
         cells[(indirection[tuple((places[rows] // 2).T)], *part, 3)] = matter.coarse[rows]
     for _ in fill_aprons(cells, indirection):
         pass
-    return Snerg(lattice.grid_to_world, lattice.voxel_size, lattice.shape, indirection, cells, None, ndc=ndc)
+    return Scene(voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, None, ndc=ndc)
 
 
 def refined(bits: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
@@ -113,13 +119,13 @@ def octants(places: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
     return [(octant, np.flatnonzero((places % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
 
 
-def marching_camera(camera: Camera, scene: Snerg) -> Camera:
+def marching_camera(camera: Camera, scene: Scene) -> Camera:
     """The camera with pixels of about two voxels at the middle of the scene, at most as many as it has."""
     scale = min(1.0, 0.5 / (pixels_a_unit(camera, scene) * scene.voxel_size))
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def pixels_a_unit(camera: Camera, scene: Snerg) -> float:
+def pixels_a_unit(camera: Camera, scene: Scene) -> float:
     """Pixels of a camera that a length of 1 of the scene's space covers, about the middle of the scene."""
     if camera.projection == "orthographic":
         return max(camera.focal)

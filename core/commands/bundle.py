@@ -12,7 +12,7 @@ from ..export.scene_files import PNG, codec_of, is_current
 from ..io.files import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from .check_out import check_out
 from .export import published
 
@@ -34,7 +34,7 @@ def bundle_scene(
     viewer_files()
     views = read_cameras(cameras) if cameras else ()
 
-    def opened() -> tuple[Snerg, CodecSettings | None]:
+    def opened() -> tuple[Scene, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
         return published(scene), stored
 

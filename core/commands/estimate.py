@@ -15,7 +15,7 @@ from ..progress import Progress, silent
 from ..training.config import TrainSettings
 
 if TYPE_CHECKING:
-    from ..study.field_probe import Survey
+    from ..study.field_probe import FieldProbe
 
 
 DEFAULT_BAKE = BakeSettings()
@@ -54,7 +54,7 @@ def estimate(
     return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}
 
 
-def _looked(path: Path, kept: Path | None, progress: Progress) -> Survey:
+def _looked(path: Path, kept: Path | None, progress: Progress) -> FieldProbe:
     """The survey of a field: the one that is kept, or a new one, which then is."""
     from ..study.field_probe import survey
     from ..study.field_probe_file import check_survey, read_survey, stamp, write_survey

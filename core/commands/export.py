@@ -10,7 +10,7 @@ from ..export.scene_files import is_scene, scene_files
 from ..io.files import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from .check_out import check_out
 from .info import info
 
@@ -23,10 +23,10 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
     return {"out": str(out), **info(out)}
 
 
-def published(scene: Path) -> Snerg:
+def published(scene: Path) -> Scene:
     """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
 
-    def read() -> Snerg:
+    def read() -> Scene:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
             if is_scene(folder):
                 scene_files(folder)

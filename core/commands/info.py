@@ -16,7 +16,7 @@ from ..io.guard import reading
 from ..io.schema import record
 from ..nerf.field import Field
 from ..progress import Progress, silent
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from ..training.decisions import forward_facing
 from ..training.training_folder import trainings_beside
 
@@ -103,7 +103,7 @@ def _stored_info(path: Path) -> Result:
     return {"codec": codec.name + quality if snerg.quantised else "float", **_scene_info(snerg)}
 
 
-def _scene_info(snerg: Snerg) -> Result:
+def _scene_info(snerg: Scene) -> Result:
     return {
         "voxels": list(snerg.shape),
         "voxel_size": float(snerg.voxel_size),

@@ -14,7 +14,7 @@ from ..io.files import new_folder
 from ..io.images import png_bytes, to_uint8
 from ..io.lock import writes_out
 from ..progress import Progress, silent, within
-from ..rendering.render import MarchSettings, march
+from ..rendering.render import MarchSettings, render_scene
 from ..study.evaluate import ready_scene
 from .check_out import check_out
 
@@ -44,7 +44,7 @@ def render_views(
     with new_folder(out) as folder:
         for index, (camera, name) in enumerate(zip(views, names, strict=True)):
             part = within(progress, index / len(views), (index + 1) / len(views))
-            frame = march(snerg, camera, settings, part)
+            frame = render_scene(snerg, camera, settings, part)
             (folder / f"{name}.png").write_bytes(png_bytes(to_uint8(frame.straight())))
             part(1.0, f"View {index + 1} of {len(views)}")
     seconds = time.perf_counter() - began

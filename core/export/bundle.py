@@ -18,7 +18,7 @@ from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..io.files import MARK, json_bytes, new_folder, one_generation, read_json
 from ..progress import Progress, silent
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from .codecs import CodecSettings
 from .scene_files import PNG, copy_scene_files, is_current, write_scene_files
 
@@ -28,7 +28,7 @@ FILES_MARK = "<!-- files -->"
 
 
 def write_bundle(
-    snerg: Snerg,
+    snerg: Scene,
     cameras: Sequence[Camera],
     folder: Path,
     single_file: bool = False,
@@ -86,7 +86,7 @@ def viewer_files() -> tuple[str, str]:
         ) from error
 
 
-def check_shown(snerg: Snerg, codec: CodecSettings) -> None:
+def check_shown(snerg: Scene, codec: CodecSettings) -> None:
     """Raise SnergError, saying why, when a browser could not show the scene or decode the codec."""
     if not snerg.quantised:
         raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")

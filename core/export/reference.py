@@ -31,7 +31,7 @@ from ..io.schema import FAR, flag, number, numbers, pose, positive, shown, whole
 from ..nerf.model import SHAPES, ViewNetwork
 from ..progress import Progress, silent
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
-from ..scene.scene import Snerg, blocks_of
+from ..scene.scene import Scene, blocks_of
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks
 from .codecs import CodecSettings, read_picture
 from .scene_files import LARGEST, check_atlas, check_blocks, write_slices
@@ -49,7 +49,7 @@ AHEAD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  #
 KERNELS = ("0_weights", "0_bias", "1_weights", "1_bias", "2_weights", "2_bias")  # in ViewNetwork's order
 
 
-def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, progress: Progress = silent) -> None:
+def write_reference(snerg: Scene, folder: Path, camera: Camera | None = None, progress: Progress = silent) -> None:
     """Write scene_params.json, atlas_indices.png, rgba_NNN.png and feature_NNN.png, whole or not at all.
 
     camera: gives the picture's size and focal length that the layout records (the viewer uses them for NDC scenes only, and
@@ -65,7 +65,7 @@ def write_reference(snerg: Snerg, folder: Path, camera: Camera | None = None, pr
         write_slices(turned, temporary, CodecSettings(), progress)
 
 
-def check_fits(snerg: Snerg) -> None:
+def check_fits(snerg: Scene) -> None:
     """Raise SnergError, saying why, when the published viewer could not hold the scene."""
     if not snerg.quantised:
         raise SnergError("The scene is not quantised, and the reference layout holds 8 bits a value: bake it again without 'float'.")
@@ -75,7 +75,7 @@ def check_fits(snerg: Snerg) -> None:
     atlas_blocks(int((snerg.indirection >= 0).sum()))
 
 
-def for_viewer(snerg: Snerg) -> Snerg:
+def for_viewer(snerg: Scene) -> Scene:
     """The scene along the viewer's axes; a forward-facing one in the layout's device coordinates."""
     rotation = snerg.grid_to_world[:3, :3]
     if snerg.ndc is None:
@@ -104,7 +104,7 @@ def _turns() -> Iterable[np.ndarray]:
             yield turn
 
 
-def reorient(snerg: Snerg, turn: np.ndarray, flip: np.ndarray = SAME) -> Snerg:
+def reorient(snerg: Scene, turn: np.ndarray, flip: np.ndarray = SAME) -> Scene:
     """The same scene with its grid along other axes: column j of `turn` is new axis j in the old ones.
 
     flip: [3, 3] from the world that the grid stands in to the one of the result; it mirrors where `turn` does. A flipped axis is
@@ -128,7 +128,7 @@ def reorient(snerg: Snerg, turn: np.ndarray, flip: np.ndarray = SAME) -> Snerg:
     )
 
 
-def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str, Any]:
+def scene_params(snerg: Scene, turned: Scene, camera: Camera | None) -> dict[str, Any]:
     """What scene_params.json holds; `turned` is `snerg` along the viewer's axes.
 
     The box's centre is the viewer's origin, but in device coordinates. Where the scene was trained in the world's axes and is not scaled,
@@ -162,7 +162,7 @@ def scene_params(snerg: Snerg, turned: Snerg, camera: Camera | None) -> dict[str
         "voxel_size": float(snerg.voxel_size),
         "shape": list(snerg.shape),
         "near": float(snerg.near),
-        "fill_holes": snerg.fill_holes,
+        "fill_holes": snerg.opacity_correction,
         "viewer_axes": np.rint(snerg.grid_to_world[:3, :3].T @ flip_of(snerg.ndc) @ turned.grid_to_world[:3, :3]).astype(int).tolist(),
         "about": snerg.about,
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
@@ -175,7 +175,7 @@ def flip_of(ndc: Ndc | None) -> np.ndarray:
     return SAME if ndc is None else FLIP
 
 
-def viewer_place(snerg: Snerg, turned: Snerg, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def viewer_place(snerg: Scene, turned: Scene, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The grid's corner in the viewer's world, the viewer's axes [3, 3] in ours, and its origin in ours."""
     pose = turned.grid_to_world
     if snerg.ndc is not None:
@@ -184,7 +184,7 @@ def viewer_place(snerg: Snerg, turned: Snerg, scale: float) -> tuple[np.ndarray,
     return (pose[:3, 3] - centre) @ pose[:3, :3] * scale, pose[:3, :3], centre
 
 
-def viewer_scale(snerg: Snerg) -> float:
+def viewer_scale(snerg: Scene) -> float:
     """Viewer units a world unit: 1, but for a scene that the viewer's fixed camera would start inside of or miss."""
     if snerg.ndc is not None:
         return 1.0
@@ -205,7 +205,7 @@ def frame_params(ndc: Ndc) -> dict[str, float]:
     return {"input_height": 2 * focal / ndc.focal[1], "input_width": 1000.0, "input_focal": focal}
 
 
-def index_picture(snerg: Snerg) -> np.ndarray:
+def index_picture(snerg: Scene) -> np.ndarray:
     """RGB uint8 [bz * by, bx, 3]: the cell's place in the atlas, in cells along x, y and z; 255 where there is none."""
     width, height, _ = atlas_blocks(len(snerg.cells))
     number = snerg.indirection.transpose(2, 1, 0).reshape(-1, snerg.indirection.shape[0])
@@ -237,7 +237,7 @@ def is_reference(folder: Path) -> bool:
     return (folder / "scene_params.json").is_file()
 
 
-def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
+def read_reference(folder: Path, progress: Progress = silent) -> Scene:
     """Read a scene in the reference layout.
 
     A scene of another tool stands in the world where worldspace_T_opengl puts it, a forward-facing one along y with near at 1;
@@ -250,7 +250,7 @@ def read_reference(folder: Path, progress: Progress = silent) -> Snerg:
         return one_generation(folder, lambda: _read(folder, path, progress))
 
 
-def _read(folder: Path, path: Path, progress: Progress) -> Snerg:
+def _read(folder: Path, path: Path, progress: Progress) -> Scene:
     params = read_params(folder)
     places, indirection = read_indices(folder, params)
     cells = read_atlas(folder, params, places, progress)
@@ -258,7 +258,7 @@ def _read(folder: Path, path: Path, progress: Progress) -> Snerg:
     pose = params.pose.copy() if params.ndc is None else np.eye(4)
     pose[:3, 3] += axes @ params.low
     about = {"source": "reference", "path": str(folder)}
-    snerg = Snerg(pose, params.voxel_size, params.shape, indirection, cells, params.network, about=about)
+    snerg = Scene(pose, params.voxel_size, params.shape, indirection, cells, params.network, about=about)
     try:
         if params.ours:
             return restore(snerg, params.ours)
@@ -272,7 +272,7 @@ def _read(folder: Path, path: Path, progress: Progress) -> Snerg:
         ) from error
 
 
-def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
+def restore(snerg: Scene, ours: dict[str, Any]) -> Scene:
     """Undo what `write_reference` did to fit the viewer."""
     turn = np.array(ours["viewer_axes"])
     if turn.shape != (3, 3) or not np.array_equal(turn @ turn.T, np.eye(3)) or turn.dtype.kind != "i":
@@ -289,7 +289,7 @@ def restore(snerg: Snerg, ours: dict[str, Any]) -> Snerg:
         voxel_size=positive(ours["voxel_size"], "voxel_size"),
         shape=(x, y, z),
         near=number(ours["near"], "near", 0),
-        fill_holes=flag(ours["fill_holes"], "fill_holes"),
+        opacity_correction=flag(ours["fill_holes"], "fill_holes"),
         about=check_about_scene(ours["about"]),
         ndc=ndc,
     )

@@ -23,7 +23,7 @@ from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import SHAPES, ViewNetwork
 from ..progress import Progress, silent
 from ..scene.blocks import CELL_VOXELS
-from ..scene.scene import Snerg, blocks_of
+from ..scene.scene import Scene, blocks_of
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
 from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
@@ -40,7 +40,7 @@ PNG = CodecSettings()
 FLOAT = {"name": "float", "quality": None}  # cells that are not quantised: cells.npy
 
 
-def write_scene(snerg: Snerg, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
+def write_scene(snerg: Scene, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
     """Write a scene folder, whole or not at all.
 
     Raises SnergError when `folder` cannot be written, or the codec cannot hold the scene or is not installed.
@@ -49,7 +49,7 @@ def write_scene(snerg: Snerg, folder: Path, progress: Progress = silent, codec: 
         write_scene_files(snerg, temporary, progress, codec)
 
 
-def write_scene_files(snerg: Snerg, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
+def write_scene_files(snerg: Scene, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
     """The files of a scene into a folder that exists.
 
     scene.json: the numbers; indirection.png: see `indirection_picture`; KIND_NNN.SUFFIX: see codecs.pictures_of, each with
@@ -72,7 +72,7 @@ def check_storable(quantised: bool, codec: CodecSettings) -> None:
         raise SnergError(f"The scene is not quantised, and {codec.name} holds 8 bits a value: bake it quantised, or store it as it is.")
 
 
-def write_slices(snerg: Snerg, folder: Path, codec: CodecSettings, progress: Progress) -> None:
+def write_slices(snerg: Scene, folder: Path, codec: CodecSettings, progress: Progress) -> None:
     """The atlas pictures, two at a time (encoders let go of Python's lock)."""
 
     def write(index: int, pictures: dict[str, np.ndarray]) -> None:
@@ -107,7 +107,7 @@ def _videos(folder: Path, codec: CodecSettings, channels: int) -> dict[str, Vide
     return {kind: VideoWriter(folder / f"{kind}.mp4", codec) for kind in ("rgb", "feature")[: channels // 4]}
 
 
-def scene_json(snerg: Snerg, codec: CodecSettings = PNG) -> dict[str, Any]:
+def scene_json(snerg: Scene, codec: CodecSettings = PNG) -> dict[str, Any]:
     """What scene.json holds."""
     network = snerg.network
     return {
@@ -122,7 +122,7 @@ def scene_json(snerg: Snerg, codec: CodecSettings = PNG) -> dict[str, Any]:
         "cells": len(snerg.cells),
         "atlas_blocks": list(atlas_blocks(len(snerg.cells))),
         "ndc": None if snerg.ndc is None else snerg.ndc.to_json(),
-        "fill_holes": snerg.fill_holes,
+        "fill_holes": snerg.opacity_correction,
         "effects": snerg.effects,
         "network_transmittance": NETWORK_TRANSMITTANCE,
         "network": None if network is None else {k: np.asarray(v, np.float64).tolist() for k, v in network._asdict().items()},
@@ -141,7 +141,7 @@ def is_scene(folder: Path) -> bool:
     return (folder / "scene.json").is_file()
 
 
-def read_scene(folder: Path) -> Snerg:
+def read_scene(folder: Path) -> Scene:
     """Read a scene folder, whatever its codec, all of it from one generation where another process replaces it meanwhile.
 
     Raises SnergError that names the file and what is wrong with it.
@@ -149,7 +149,7 @@ def read_scene(folder: Path) -> Snerg:
     return one_generation(folder, lambda: _read_scene(folder))
 
 
-def _read_scene(folder: Path) -> Snerg:
+def _read_scene(folder: Path) -> Scene:
     path, value = _read_json(folder)
     with reading(path, "export or bake the scene again"):
         return _read(folder, value)
@@ -207,14 +207,14 @@ def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:
     return path, value
 
 
-def _read(folder: Path, value: dict[str, Any]) -> Snerg:
+def _read(folder: Path, value: dict[str, Any]) -> Scene:
     x, y, z = (whole(n, "shape", 1, MAX_VOXELS) for n in value["shape"])
     blocks = blocks_of((x, y, z))
     check_blocks(blocks)
     picture = read_picture(folder / "indirection.png", (blocks[2] * blocks[1], blocks[0], 3)).astype(np.int32)
     indirection = (picture @ np.array([1, 256, 65536], np.int32) - 1).reshape(blocks[2], blocks[1], blocks[0]).transpose(2, 1, 0)
     network = value["network"]
-    return Snerg(
+    return Scene(
         grid_to_world=pose(value["grid_to_world"], "grid_to_world"),
         voxel_size=positive(value["voxel_size"], "voxel_size"),
         shape=(x, y, z),
@@ -225,7 +225,7 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
         near=number(value["near"], "near", 0),
         about=check_about_scene(value["about"]),
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
-        fill_holes=flag(value["fill_holes"], "fill_holes"),
+        opacity_correction=flag(value["fill_holes"], "fill_holes"),
     )
 
 

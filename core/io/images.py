@@ -32,7 +32,7 @@ def read_size(path: Path) -> tuple[int, int]:
     """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does."""
     if path.suffix.lower() in LINEAR:
         return _Linear(path).size
-    with _open(path) as image:
+    with _open(path, header=True) as image:
         return image.size
 
 
@@ -91,12 +91,14 @@ def _deep(path: Path, image: Image.Image) -> np.ndarray:
     return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=-1)
 
 
-def _open(path: Path, flat: int = FLAT_PIXELS) -> Image.Image:
+def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Image:
+    """Open a picture, its size checked. header: only that is read; else all bytes of the file first, because decoders ask for as many
+    as the file says that a part of it has, which may be gigabytes."""
     size = _check_image_file(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MAX_PIXELS decides
-            image = Image.open(path, formats=FORMATS)
+            image = Image.open(path if header else io.BytesIO(path.read_bytes()), formats=FORMATS)
     except Exception as error:  # Pillow's readers of headers raise what they like
         raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
     try:

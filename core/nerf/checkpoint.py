@@ -19,12 +19,13 @@ from ..io.schema import numbers, positive, record, shown, text, whole
 from .field import Field
 from .hash_grid import HashGrid
 from .mlp import FEATURES, Dense, layer_shapes
-from .model import ENCODED_VIEW, SHAPES, VIEWS, Family, HashFamily, MlpFamily, ViewNetwork
+from .model import ENCODED_VIEW, SHAPES, VIEWS, HashModelConfig, MlpModelConfig, ModelConfig, ViewNetwork
 from .sampling import CELLS, Domain
 
 FILE = "field.npz"
 FORMAT = "snerg-field"
 VERSION = 3
+FAMILIES: dict[type, str] = {HashModelConfig: "HashFamily", MlpModelConfig: "MlpFamily"}  # as files name them
 MAX_BYTES = 2**31
 LARGEST = 1e9  # of a network's weights: products of several layers stay finite in float32
 MAX_WIDTH = 2**13
@@ -46,7 +47,7 @@ def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None 
     about = {
         "format": FORMAT,
         "version": VERSION,
-        "family": {"kind": type(field.family).__name__, **asdict(field.family)},
+        "family": {"kind": FAMILIES[type(field.family)], **asdict(field.family)},
         "scale": field.domain.scale,
         "spacing": field.spacing,
         "ndc": None if field.ndc is None else field.ndc.to_json(),
@@ -126,7 +127,7 @@ def _occupancy(cells: np.ndarray | None) -> np.ndarray | None:
     return cells
 
 
-def check_params(params: dict[str, np.ndarray], family: Family, view: str) -> None:
+def check_params(params: dict[str, np.ndarray], family: ModelConfig, view: str) -> None:
     """Raise ValueError unless a field's parameters are named and shaped as its family and its view dependence have them, and finite."""
     wanted = param_shapes(family, view, params)
     if params.keys() != wanted.keys():
@@ -137,41 +138,41 @@ def check_params(params: dict[str, np.ndarray], family: Family, view: str) -> No
             raise ValueError(f"{name} is {array.dtype}")
 
 
-def param_shapes(family: Family, view: str, params: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+def param_shapes(family: ModelConfig, view: str, params: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the arrays that `flatten` gives for such a field. Whether a diffuse one has features, its `params` tell."""
-    last = params.get("bias_1" if isinstance(family, HashFamily) else f"{family.depth + 1:02d}.bias")
+    last = params.get("bias_1" if isinstance(family, HashModelConfig) else f"{family.depth + 1:02d}.bias")
     outputs = {"sample": family.width}.get(view, 3 + FEATURES)
     if view == "diffuse" and last is not None and last.size < 1 + outputs:
         outputs = 3
     layers: list[tuple[int, int]]
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         layers = [(family.grid.levels * family.grid.features, family.width), (family.width, 1 + outputs)]
     else:
         layers = list(layer_shapes(family.width, family.depth, family.degrees, family.skip, outputs))
     if view == "sample":
         half = max(family.width // 2, 1)
         layers += [(family.width + ENCODED_VIEW, half), (half, 3)]
-    parts = ("weights_{}", "bias_{}") if isinstance(family, HashFamily) else ("{:02d}.kernel", "{:02d}.bias")
+    parts = ("weights_{}", "bias_{}") if isinstance(family, HashModelConfig) else ("{:02d}.kernel", "{:02d}.bias")
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (rows, columns) in enumerate(layers):
         shapes |= {parts[0].format(i): (rows, columns), parts[1].format(i): (columns,)}
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         shapes |= {f"table_{i}": (size * family.grid.features,) for i, size in enumerate(family.grid.sizes.tolist())}
     return shapes
 
 
-def read_family(value: dict[str, Any]) -> Family:
+def read_family(value: dict[str, Any]) -> ModelConfig:
     """From asdict of a family and its class's name."""
     value = dict(value)
     kind = value.pop("kind")
-    if kind == HashFamily.__name__:
+    if kind == FAMILIES[HashModelConfig]:
         grid = {name: whole(n, name, 1, GRID_LIMITS[name]) for name, n in record(value["grid"], "grid").items()}
-        return HashFamily(HashGrid(**grid), whole(value["width"], "width", 1, MAX_WIDTH))
-    if kind == MlpFamily.__name__:
+        return HashModelConfig(HashGrid(**grid), whole(value["width"], "width", 1, MAX_WIDTH))
+    if kind == FAMILIES[MlpModelConfig]:
         if value["density"] not in ("softplus", "relu"):
             raise ValueError(f"density is {shown(value['density'])}")
         sizes = {name: whole(value[name], name, low, high) for name, (low, high) in MLP_LIMITS.items()}
-        return MlpFamily(**sizes, density=value["density"])
+        return MlpModelConfig(**sizes, density=value["density"])
     raise ValueError(f"family {shown(kind)}")
 
 
@@ -182,8 +183,8 @@ def flatten(params: Any) -> dict[str, np.ndarray]:
     return {f"{i:02d}.{k}": np.asarray(v) for i, layer in enumerate(params) for k, v in layer._asdict().items()}
 
 
-def unflatten(arrays: dict[str, np.ndarray], family: Family) -> Any:
+def unflatten(arrays: dict[str, np.ndarray], family: ModelConfig) -> Any:
     """Undo `flatten`."""
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         return arrays
     return tuple(Dense(arrays[f"{i:02d}.kernel"], arrays[f"{i:02d}.bias"]) for i in range(len(arrays) // 2))

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..geometry.ndc import Ndc
-from .model import Family, ViewNetwork, field_inputs, field_outputs
+from .model import ModelConfig, ViewNetwork, field_inputs, field_outputs
 from .sampling import Domain, cell_index
 from .shading import sample_values
 
@@ -32,7 +32,7 @@ class Field:
     dataset: the folder it was trained from, '' when imported. about: history and settings, JSON values.
     """
 
-    family: Family
+    family: ModelConfig
     params: Any
     network: ViewNetwork | None
     domain: Domain

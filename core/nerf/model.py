@@ -69,7 +69,7 @@ def as_numpy(network: ViewNetwork) -> ViewNetwork:
 
 
 @dataclass(frozen=True)
-class HashFamily:
+class HashModelConfig:
     """A hash grid and one small hidden layer: trains in minutes on a CPU."""
 
     grid: HashGrid = HashGrid()
@@ -77,7 +77,7 @@ class HashFamily:
 
 
 @dataclass(frozen=True)
-class MlpFamily:
+class MlpModelConfig:
     """The paper's positional-encoding MLP (section 6; see positional.py).
 
     density: 'softplus' trains from every initialisation (hard case 24); 'relu' is what reference checkpoints have.
@@ -90,16 +90,16 @@ class MlpFamily:
     density: str = "softplus"
 
 
-Family = HashFamily | MlpFamily
+ModelConfig = HashModelConfig | MlpModelConfig
 
 
-def init_params(family: Family, view: str, coarse: bool, rng: np.random.Generator) -> dict[str, Any]:
+def init_params(family: ModelConfig, view: str, coarse: bool, rng: np.random.Generator) -> dict[str, Any]:
     """Random parameters of all that is trained, NumPy: `init_field`, and the same again as "coarse" where that is asked for."""
     params = init_field(family, view, rng)
     return params | {"coarse": init_field(family, view, rng)} if coarse else params
 
 
-def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str, Any]:
+def init_field(family: ModelConfig, view: str, rng: np.random.Generator) -> dict[str, Any]:
     """Random parameters as NumPy arrays: {"field": ..., "view": six arrays} ("view" only where there is a MLP_Phi).
 
     view: one of VIEWS, or 'auto', which has the arrays of 'deferred'. A diffuse field's arrays are those of a deferred one
@@ -107,7 +107,7 @@ def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str,
     """
     outputs = {"diffuse": 3, "sample": family.width}.get(view, 3 + FEATURES)
     params: dict[str, Any] = {
-        "field": _init_hash(family, outputs, rng) if isinstance(family, HashFamily) else _init_mlp(family, outputs, rng)
+        "field": _init_hash(family, outputs, rng) if isinstance(family, HashModelConfig) else _init_mlp(family, outputs, rng)
     }
     if view == "sample":
         params["field"] = _with_head(params["field"], family.width, rng)
@@ -118,14 +118,14 @@ def init_field(family: Family, view: str, rng: np.random.Generator) -> dict[str,
     return params
 
 
-def _init_hash(family: HashFamily, outputs: int, rng: np.random.Generator) -> dict[str, Any]:
+def _init_hash(family: HashModelConfig, outputs: int, rng: np.random.Generator) -> dict[str, Any]:
     grid, width = family.grid, family.width
     tables = {f"table_{i}": rng.uniform(-1e-4, 1e-4, size * grid.features).astype(np.float32) for i, size in enumerate(grid.sizes.tolist())}
     layers = [init_dense(rng, grid.levels * grid.features, width), init_dense(rng, width, 1 + outputs)]
     return tables | {f"{part}_{i}": a for i, layer in enumerate(layers) for part, a in zip(("weights", "bias"), layer, strict=True)}
 
 
-def _init_mlp(family: MlpFamily, outputs: int, rng: np.random.Generator) -> Any:
+def _init_mlp(family: MlpModelConfig, outputs: int, rng: np.random.Generator) -> Any:
     return init_trunk(rng, family.width, family.depth, family.degrees, family.skip, outputs)
 
 
@@ -137,9 +137,9 @@ def _with_head(params: Any, width: int, rng: np.random.Generator) -> Any:
     return params | {"weights_2": hidden.kernel, "bias_2": hidden.bias, "weights_3": rgb.kernel, "bias_3": rgb.bias}
 
 
-def view_head(family: Family, params: Any) -> tuple[Dense, Dense] | None:
+def view_head(family: ModelConfig, params: Any) -> tuple[Dense, Dense] | None:
     """The two layers a sample of a field with view dependence 'sample'; None in any other field."""
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         if "weights_2" not in params:
             return None
         return Dense(params["weights_2"], params["bias_2"]), Dense(params["weights_3"], params["bias_3"])
@@ -147,14 +147,14 @@ def view_head(family: Family, params: Any) -> tuple[Dense, Dense] | None:
     return (layers[0], layers[1]) if layers else None
 
 
-def field_inputs(xnp: Any, family: Family, x: Any) -> Any:
+def field_inputs(xnp: Any, family: ModelConfig, x: Any) -> Any:
     """What `field_outputs` needs of points [N, 3] in the field's own coordinates, computed apart from the parameters (see hash_lookup)."""
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         return hash_lookup(xnp, family.grid, xnp.clip(x * 0.5 + 0.5, 0, 1))
     return x
 
 
-def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
+def field_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tuple[Any, Any]:
     """(density [N] per unit of the field's own coordinates, values [N, C]) (eq. 4).
 
     values: RGB and features [N, 7] in [0, 1], RGB alone [N, 3] of a diffuse field; with view dependence 'sample' NeRF's bottleneck
@@ -164,9 +164,9 @@ def field_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[A
     return density_of(xnp, family, raw), values
 
 
-def raw_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any, Any]:
+def raw_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tuple[Any, Any]:
     """`field_outputs` with the density [N] as it is before its activation."""
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         tables = [params[f"table_{i}"] for i in range(family.grid.levels)]
         hidden = xnp.maximum(hash_encode(xnp, family.grid, tables, *inputs) @ params["weights_0"] + params["bias_0"], 0)
         raw = hidden @ params["weights_1"] + params["bias_1"]
@@ -176,9 +176,9 @@ def raw_outputs(xnp: Any, family: Family, params: Any, inputs: Any) -> tuple[Any
     return density, values if view_head(family, params) else sigmoid(xnp, values)
 
 
-def density_of(xnp: Any, family: Family, raw: Any) -> Any:
+def density_of(xnp: Any, family: ModelConfig, raw: Any) -> Any:
     """Density [N] >= 0 from what a network gives [N]."""
-    if isinstance(family, HashFamily):
+    if isinstance(family, HashModelConfig):
         return bounded_exp(xnp, raw)
     if family.density == "relu":
         return xnp.maximum(raw, 0)

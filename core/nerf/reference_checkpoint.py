@@ -20,7 +20,7 @@ from ..errors import SnergError
 from ..io.guard import check_file, reading
 from .field import Field
 from .mlp import FEATURES, Dense, Trunk, activate, trunk
-from .model import SHAPES, VIEW_DEGREES, MlpFamily, ViewNetwork, view_residual
+from .model import SHAPES, VIEW_DEGREES, MlpModelConfig, ViewNetwork, view_residual
 from .sampling import Domain
 
 MAX_BYTES = 2**29  # a deferred NeRF of the paper's size is 50 MB with its optimiser
@@ -52,7 +52,7 @@ class ReferenceCheckpoint:
     """
 
     step: int
-    family: MlpFamily
+    family: MlpModelConfig
     trunk: Trunk
     network: ViewNetwork | None
 
@@ -216,7 +216,7 @@ def _layers(networks: Mapping[Any, Any], network: str, path: Path) -> Trunk:
     return tuple(layers)
 
 
-def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpFamily, int]:
+def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpModelConfig, int]:
     """(what a trunk is, how many features it has), from the shapes of its tensors."""
     shapes = [layer.kernel.shape for layer in layers]
     if len(shapes) < 3:
@@ -239,7 +239,7 @@ def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpFamily, int]:
             _misshapen(path, f"{name}/Dense_{i}", f"{shape}, not {wanted}")
     if not 3 <= outputs <= 3 + FEATURES:
         _misshapen(path, f"{name}/Dense_{depth + 1}", f"{shapes[-1]}, which is not RGB and up to {FEATURES} features")
-    return MlpFamily(width=width, depth=depth, skip=skip, degrees=(encoded - 3) // 6, density="relu"), outputs - 3
+    return MlpModelConfig(width=width, depth=depth, skip=skip, degrees=(encoded - 3) // 6, density="relu"), outputs - 3
 
 
 def _padded(layers: Trunk) -> Trunk:

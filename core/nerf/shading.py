@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SnergError
-from .model import Family, ViewNetwork, sigmoid, view_encoding, view_head, view_residual
+from .model import ModelConfig, ViewNetwork, sigmoid, view_encoding, view_head, view_residual
 
 NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
 
@@ -20,7 +20,7 @@ def unit(directions: np.ndarray) -> np.ndarray:
     return directions / length
 
 
-def sample_values(xnp: Any, view: str, family: Family, params: dict[str, Any], values: Any, directions: Any) -> Any:
+def sample_values(xnp: Any, view: str, family: ModelConfig, params: dict[str, Any], values: Any, directions: Any) -> Any:
     """What is composited of samples [N, C], from what `field_outputs` says of them.
 
     RGB [N, 3] as seen along directions [N, 3] (unit) where view dependence is a sample's own, 'sample' (section 4.1) or 'tiny'

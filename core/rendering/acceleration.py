@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 
 BRICK = 6  # voxels along a brick, by which the way through empty space is measured; five of them make a block's own 30
 BRICKS = DATA_VOXELS // BRICK
@@ -17,7 +17,7 @@ STRIDES = (CELL_VOXELS**2, CELL_VOXELS, 1)  # words from a voxel to its neighbou
 
 
 @dataclass(frozen=True, eq=False)
-class Tables:
+class Acceleration:
     """What a march looks up. A tent is the reach of trilinear interpolation between 8 voxels; tent (i, j, k) has its lowest corner
     in voxel (i, j, k) of a cell.
 
@@ -39,26 +39,26 @@ class Tables:
     voxel_skip: np.ndarray
 
 
-_tables: WeakKeyDictionary[Snerg, Tables] = WeakKeyDictionary()
+_tables: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
 
 
-def tables_of(snerg: Snerg) -> Tables:
+def acceleration_of(snerg: Scene) -> Acceleration:
     """The look-up tables of a scene, made once."""
     tables = _tables.get(snerg)
     if tables is None:
-        tables = _tables[snerg] = make_tables(snerg)
+        tables = _tables[snerg] = build_acceleration(snerg)
     return tables
 
 
-def make_tables(snerg: Snerg) -> Tables:
-    """See `Tables`."""
+def build_acceleration(snerg: Scene) -> Acceleration:
+    """See `Acceleration`."""
     cells = snerg.cells if len(snerg.cells) else np.zeros((1, *snerg.cells.shape[1:]), snerg.cells.dtype)
     channels, flat = cells.shape[-1], np.ascontiguousarray(cells).reshape(-1, cells.shape[-1])
     voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if snerg.quantised else flat
     tents = tent_bits((voxels != 0 if snerg.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
     occupied, base = _bricks(snerg.indirection, tents)
     x, y, z = occupied.shape
-    return Tables(
+    return Acceleration(
         voxels=voxels,
         channels=channels,
         unit=snerg.unit,
@@ -82,7 +82,7 @@ def tent_bits(full: np.ndarray) -> np.ndarray:
 
 
 def _bricks(indirection: np.ndarray, tents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Tables`)."""
+    """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Acceleration`)."""
     masks = np.array([((1 << (BRICK + 1)) - 1) << (BRICK * i) for i in range(BRICKS)], np.uint32)
     found = (tents[..., None] & masks) != 0  # along z already by bricks: samples of brick i touch tents 6 i to 6 i + 6
     for axis in (1, 2):
@@ -101,7 +101,7 @@ def _bricks(indirection: np.ndarray, tents: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _voxel_skip(tents: np.ndarray) -> np.ndarray:
-    """See `Tables`; at least 1 where nothing is, at most MAX_SKIP."""
+    """See `Acceleration`; at least 1 where nothing is, at most MAX_SKIP."""
     skip = np.zeros((len(tents), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
     reached = tents.copy()
     for distance in range(MAX_SKIP):

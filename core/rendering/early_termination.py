@@ -7,13 +7,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ..nerf.model import ViewNetwork
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 
 FILLED = 1.5  # how much steeper equation 9 makes what depends on alpha
 SCAN = 2**20  # voxels looked at together
 
 
-def stop_for(tolerance: float, snerg: Snerg, per_sample_network: bool) -> float:
+def stop_for(tolerance: float, snerg: Scene, per_sample_network: bool) -> float:
     """The transmittance below which a ray may stop, so that no displayed value is further than `tolerance` from the endless march's.
 
     A ray that stops with light tau left has yet to gather opacity dA <= tau, and colour and features dC <= g tau, g being what
@@ -31,7 +31,7 @@ def stop_for(tolerance: float, snerg: Snerg, per_sample_network: bool) -> float:
         grows += 1
     low, high = np.array([-1.0] * 3 + [0.0] * 4), np.array([grows - 1] * 3 + [grows] * 4)
     slope = grows
-    if snerg.fill_holes:
+    if snerg.opacity_correction:
         high = np.full(7, FILLED * grows)
         low = -high - np.array([FILLED] * 3 + [0.0] * 4)
         slope = FILLED * (grows + 1)
@@ -53,10 +53,10 @@ def steepness(network: ViewNetwork, low: np.ndarray, high: np.ndarray) -> float:
     return float(np.maximum(-low, high).max()) / 4
 
 
-_excess: WeakKeyDictionary[Snerg, float] = WeakKeyDictionary()
+_excess: WeakKeyDictionary[Scene, float] = WeakKeyDictionary()
 
 
-def excess(snerg: Snerg) -> float:
+def excess(snerg: Scene) -> float:
     """g >= 1, so that colours and features that a ray gathers past some point are together at most g times the light there was.
 
     In a voxel a value c may be above opacity a (rounded one by one, or not baked by us). c <= r a everywhere, or c <= a + e,

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.ndc import space_rays
-from ..scene.scene import Snerg
-from .acceleration import BRICK, Tables
+from ..scene.scene import Scene
+from .acceleration import BRICK, Acceleration
 from .ray_marcher import HAIR
 from .ray_queue import Rays
 
 BUNDLE = 64  # neighbouring rays that go through empty space together
 
 
-def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def enter(snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rays of the world in voxel coordinates, re-based to where they enter the grid.
 
     Returns point of entry and direction [3, N] (both float32), and the distances in voxels [N] at which the
@@ -43,7 +43,7 @@ def enter(snerg: Snerg, origins: np.ndarray, directions: np.ndarray, near: float
 
 
 def approach(
-    tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, stop: np.ndarray, skip: bool, first: int = 0
+    tables: Acceleration, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, stop: np.ndarray, skip: bool, first: int = 0
 ) -> Rays:
     """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter. first: the number
     of the first of them."""
@@ -58,7 +58,9 @@ def approach(
     return Rays.new(index + first, moving, tables.channels)
 
 
-def bundled(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, ends: np.ndarray, ready: np.ndarray) -> np.ndarray:
+def bundled(
+    tables: Acceleration, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, ends: np.ndarray, ready: np.ndarray
+) -> np.ndarray:
     """How many samples of each ray [N] come before anything that its bundle could meet: float32, whole numbers.
 
     At a distance s a bundle is a cube around a ray of its own, which grows in proportion to s; the bundle goes on as long as that
@@ -87,7 +89,9 @@ def bundled(tables: Tables, entry: np.ndarray, direction: np.ndarray, start: np.
     return np.maximum(np.ceil(reached.repeat(BUNDLE)[:count] - lag - (HAIR + np.float32(0.5))), 0)
 
 
-def advance(tables: Tables, centre: np.ndarray, along: np.ndarray, radius: np.ndarray, growth: np.ndarray, last: np.ndarray) -> np.ndarray:
+def advance(
+    tables: Acceleration, centre: np.ndarray, along: np.ndarray, radius: np.ndarray, growth: np.ndarray, last: np.ndarray
+) -> np.ndarray:
     """Distance [G] up to which a cube around centre + s * along, of half a side radius + s * growth (all [3, G]), meets nothing
     that is not empty; at least `last` where that is nowhere."""
     bricks = np.array(tables.bricks)[:, None]

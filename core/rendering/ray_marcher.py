@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .acceleration import BRICK, STRIDES, Tables
-from .ray_queue import FEW, Rays, Supply
+from .acceleration import BRICK, STRIDES, Acceleration
+from .ray_queue import FEW, RayQueue, Rays
 
 CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 AHEAD = 4  # samples of a ray that are taken together
@@ -34,7 +34,7 @@ Residual = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """(colour [n, 3] over white, features [n, 4], number of the ray [n]) to what view dependence adds to the colour [n, 3]."""
 
 
-class Walk:
+class RayMarcher:
     """One batch.
 
     supply: where rays are from, which may be handed on there again. into: what comes of them. stop: a ray ends when less light than this
@@ -44,8 +44,8 @@ class Walk:
 
     def __init__(
         self,
-        tables: Tables,
-        supply: Supply,
+        tables: Acceleration,
+        supply: RayQueue,
         into: Gathered,
         batch: int,
         stop: float,
@@ -242,7 +242,7 @@ class Walk:
 class Interpolate:
     """Trilinear interpolation of voxels; its buffers are its own, so that a thread needs one of its own."""
 
-    def __init__(self, tables: Tables) -> None:
+    def __init__(self, tables: Acceleration) -> None:
         self.tables, self.whole = tables, tables.voxels.ndim == 1
         channels = tables.channels
         self.corners = [tables.voxels[corner:] for corner in CORNERS]

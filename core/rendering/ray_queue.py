@@ -47,7 +47,7 @@ class Rays:
         return Rays(self.index.take(rows), self.moving.take(rows, axis=1), self.light.take(rows), self.values.take(rows, axis=0))
 
 
-class Supply:
+class RayQueue:
     """What `walks` walks, each in a thread of its own, take their rays from.
 
     shares: of all rays, in order; make: the rays of one that may meet something, called in the thread that comes for them. finished: how

@@ -18,12 +18,12 @@ from ..geometry.camera import Camera
 from ..geometry.ndc import world_distance
 from ..nerf.frame import Composited, Frame, residual, shade
 from ..progress import Progress, silent, within
-from ..scene.scene import Snerg
-from .acceleration import tables_of
+from ..scene.scene import Scene
+from .acceleration import acceleration_of
 from .early_termination import stop_for
 from .packet_traversal import BUNDLE, approach, enter
-from .ray_marcher import Gathered, Walk
-from .ray_queue import Rays, Supply
+from .ray_marcher import Gathered, RayMarcher
+from .ray_queue import RayQueue, Rays
 
 BUNDLED = 2**17  # rays whose way through empty space is found together: few steps of many bundles
 # Rays that are made, or shaded, together, and those whose colours the network is asked for in one product. BLAS would take threads of its
@@ -53,8 +53,8 @@ class MarchSettings:
     skip: bool = True
 
 
-def march(
-    snerg: Snerg,
+def render_scene(
+    snerg: Scene,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
@@ -82,7 +82,7 @@ def march(
 
 
 def progressive(
-    snerg: Snerg,
+    snerg: Scene,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
@@ -90,8 +90,8 @@ def progressive(
     """First a picture of a quarter of the width and height, then the whole one. `progress` as in `march`, over both."""
     small = camera.resized(-(-camera.width // FIRST), -(-camera.height // FIRST))
     share = 1 / (1 + FIRST**2)
-    yield march(snerg, small, settings, within(progress, 0, share))
-    yield march(snerg, camera, settings, within(progress, share, 1))
+    yield render_scene(snerg, small, settings, within(progress, 0, share))
+    yield render_scene(snerg, camera, settings, within(progress, share, 1))
 
 
 def tiled(width: int, height: int) -> np.ndarray:
@@ -102,7 +102,7 @@ def tiled(width: int, height: int) -> np.ndarray:
 
 
 def march_rays(
-    snerg: Snerg,
+    snerg: Scene,
     origins: np.ndarray,
     directions: np.ndarray,
     settings: MarchSettings = MarchSettings(),
@@ -119,7 +119,7 @@ def march_rays(
 
 
 def _march(
-    snerg: Snerg,
+    snerg: Scene,
     rays: Callable[[slice], tuple[np.ndarray, np.ndarray]],
     count: int,
     settings: MarchSettings,
@@ -128,7 +128,7 @@ def _march(
     visited: np.ndarray | None = None,
 ) -> Composited:
     """`march_rays` of rays that are made when their turn comes."""
-    tables = tables_of(snerg)
+    tables = acceleration_of(snerg)
     into = Gathered(np.zeros((count, tables.channels), np.float32), np.ones(count, np.float32))
     begins = np.zeros(count, np.float32)
     sampled = snerg.network is not None and settings.per_sample_network
@@ -155,16 +155,16 @@ def _march(
         light = stop_for(settings.tolerance, snerg, settings.per_sample_network)
 
     bundled = min(BUNDLED, max(-(-count // (settings.threads * BUNDLE)), 1) * BUNDLE)
-    supply = Supply(make, _shares(0, count, bundled), settings.threads)
+    supply = RayQueue(make, _shares(0, count, bundled), settings.threads)
 
     def work(cancelled: Callable[[], bool]) -> None:
-        Walk(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
+        RayMarcher(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
 
     _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins
     depth *= np.float32(snerg.voxel_size)
     found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)
-    return filled(found) if snerg.fill_holes else found
+    return filled(found) if snerg.opacity_correction else found
 
 
 def _shares(first: int, last: int, most: int) -> list[slice]:

@@ -16,7 +16,7 @@ from .blocks import CELL_VOXELS, DATA_VOXELS
 
 
 @dataclass(frozen=True, eq=False)
-class Snerg:
+class Scene:
     """A Sparse Neural Radiance Grid.
 
     ndc: the grid's world is the world where None; else it is the world in these device coordinates, whose units lengths
@@ -30,7 +30,7 @@ class Snerg:
         C = 4 in a diffuse scene: RGB, alpha. Alpha is the opacity of a step of one voxel.
     network: the view-dependence network, or None in a diffuse scene.
     view_rotation: [3, 3] from world directions to the axes in which the network was trained.
-    fill_holes: whether what a ray gathers is made up to 1.5 times as opaque (eq. 9), as the paper does in forward-facing scenes.
+    opacity_correction: whether what a ray gathers is made up to 1.5 times as opaque (eq. 9), as the paper does in forward-facing scenes.
     near: distance along a ray, world units, before which nothing is seen.
     about: where the scene came from and what its bake measured; JSON values.
     """
@@ -45,7 +45,7 @@ class Snerg:
     near: float = 0.0
     about: dict[str, Any] = field(default_factory=dict)
     ndc: Ndc | None = None
-    fill_holes: bool = False
+    opacity_correction: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "grid_to_world", rigid(self.grid_to_world, "The scene's grid"))
@@ -84,7 +84,7 @@ class Snerg:
     @property
     def effects(self) -> dict[str, bool]:
         """Which optional effects the scene carries."""
-        return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.fill_holes}
+        return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.opacity_correction}
 
 
 def blocks_of(shape: tuple[int, int, int]) -> tuple[int, int, int]:

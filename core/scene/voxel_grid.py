@@ -16,10 +16,10 @@ FINEST = 4096  # voxels along an axis that a bake may have
 
 
 @dataclass(frozen=True, eq=False)
-class Lattice:
+class VoxelGrid:
     """Voxels inside a box, and one more on each side so that what lies on a face keeps its tent (hard case 36).
 
-    grid_to_world, voxel_size, shape: as in Snerg.
+    grid_to_world, voxel_size, shape: as in Scene.
     """
 
     grid_to_world: np.ndarray
@@ -27,7 +27,7 @@ class Lattice:
     shape: tuple[int, int, int]
 
     @classmethod
-    def inside(cls, box: Box, voxel: float) -> Lattice:
+    def inside(cls, box: Box, voxel: float) -> VoxelGrid:
         """Voxels of a size in units of the box. Raises SnergError when there would be too many along a side."""
         counts = np.ceil(box.size / voxel - 1e-6)
         if counts.max() > FINEST:
@@ -44,10 +44,10 @@ class Lattice:
         """Macroblocks along each axis."""
         return blocks_of(self.shape)
 
-    def halved(self) -> Lattice:
+    def halved(self) -> VoxelGrid:
         """Voxels twice as large from the same corner, as many as it takes to cover these."""
         x, y, z = (-(-n // 2) for n in self.shape)
-        return Lattice(self.grid_to_world, 2 * self.voxel_size, (x, y, z))
+        return VoxelGrid(self.grid_to_world, 2 * self.voxel_size, (x, y, z))
 
     def points(self, voxels: np.ndarray) -> np.ndarray:
         """Centres [N, 3] float64 of voxels given by (possibly fractional) index [N, 3]."""

@@ -22,9 +22,9 @@ from ..nerf.field import Field
 from ..nerf.model import init_field
 from ..nerf.sampling import Domain
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
-from ..scene.voxel_grid import Lattice
+from ..scene.voxel_grid import VoxelGrid
 from ..training.config import TrainSettings
-from .field_probe import Survey, rays_of
+from .field_probe import FieldProbe, rays_of
 
 USUAL = BakeSettings()
 BARE = 6.0  # samples that take as long as all else that a ray takes
@@ -72,7 +72,9 @@ class Estimate:
         return {"bake_seconds": round(self.bake, 2), **asdict(self), "seconds": rounded, **sizes, **times}
 
 
-def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: bool = True, size: tuple[int, int] = (800, 800)) -> Estimate:
+def estimate(
+    survey: FieldProbe, box: Box, settings: BakeSettings = USUAL, refine: bool = True, size: tuple[int, int] = (800, 800)
+) -> Estimate:
     """What a bake with `bake_field` will take, and a preview of `size` pixels, on this machine as busy as it was when surveyed.
 
     What is counted, in the box: looked, held and kept voxels, as many as points of the survey say (what a box cuts off is gone, that
@@ -84,22 +86,22 @@ def estimate(survey: Survey, box: Box, settings: BakeSettings = USUAL, refine: b
     """
     rates, field = survey.rates, survey.field
     check_lengths(settings, field)
-    lattice = Lattice.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
+    voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     inside = box.contains(survey.points)
-    volume = survey.share / lattice.voxel_size**3
-    held, kept = (volume * _points(survey, table, inside, lattice.voxel_size) for table in (survey.held, survey.kept))
+    volume = survey.share / voxel_grid.voxel_size**3
+    held, kept = (volume * _points(survey, table, inside, voxel_grid.voxel_size) for table in (survey.held, survey.kept))
     if not (settings.visibility and field.cameras):
         kept = held
     cubes = survey.filled[0][box.contains(survey.filled[0])]
-    blocks = blocks_met((cubes, survey.filled[1]), lattice) if len(cubes) else 0
+    blocks = blocks_met((cubes, survey.filled[1]), voxel_grid) if len(cubes) else 0
     channels = 8 if settings.network and field.network is not None else 4
     cells = blocks * CELL_VOXELS**3 * channels * (1 if settings.quantise else 4)
-    finer = survey.pilot / lattice.voxel_size
+    finer = survey.pilot / voxel_grid.voxel_size
     ray = rates.ray * slower(rates.met, rates.growth, finer)
     coded = kept * rates.bytes * finer**-ALIKE * channels / (8 if field.network is not None else 4)
     looked = volume * int((survey.inside & inside).sum())
-    samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / lattice.voxel_size)).argmin())]
-    seconds = _seconds(survey, lattice, settings, looked, kept, samples)
+    samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / voxel_grid.voxel_size)).argmin())]
+    seconds = _seconds(survey, voxel_grid, settings, looked, kept, samples)
     if refine and channels == 8 and field.dataset:
         seconds["refine"] = FIT + rates.view * len(field.cameras) + ray * REFINED
     return Estimate(
@@ -121,7 +123,9 @@ def slower(met: float, growth: float, finer: float) -> float:
     return (BARE + met * finer ** (growth + COLD)) / (BARE + met)
 
 
-def _seconds(survey: Survey, lattice: Lattice, settings: BakeSettings, looked: float, kept: float, samples: int) -> dict[str, float]:
+def _seconds(
+    survey: FieldProbe, voxel_grid: VoxelGrid, settings: BakeSettings, looked: float, kept: float, samples: int
+) -> dict[str, float]:
     """Of the stages of a bake.
 
     start: compiling takes as long as it did. occupancy: BEGUN; a voxel of a block that meets an occupied cell is tested, one in an
@@ -132,22 +136,22 @@ def _seconds(survey: Survey, lattice: Lattice, settings: BakeSettings, looked: f
     tried = RAYS * LENGTH * (FINER + 8 * (min(4 * samples, 2 * MOST) - 1)) if settings.samples == AUTO else 0
     return {
         "start": rates.start,
-        "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, lattice).sum()) * DATA_VOXELS**3 + rates.query * looked,
-        "visibility": _looking(survey, lattice) if settings.visibility else 0.0,
+        "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, voxel_grid).sum()) * DATA_VOXELS**3 + rates.query * looked,
+        "visibility": _looking(survey, voxel_grid) if settings.visibility else 0.0,
         "samples": rates.fill * tried,
         "prefilter": BESIDE * kept * (rates.keep + samples * rates.fill),
     }
 
 
-def _looking(survey: Survey, lattice: Lattice) -> float:
+def _looking(survey: FieldProbe, voxel_grid: VoxelGrid) -> float:
     """Of finding out, on half of the resolution, what the cameras see: each of them, and its rays but for their samples, takes as long
     as in the small bake."""
-    rates, finer = survey.rates, survey.pilot / lattice.halved().voxel_size
+    rates, finer = survey.rates, survey.pilot / voxel_grid.halved().voxel_size
     look = rates.look * slower(rates.seen_met, rates.seen_growth, finer)
-    return rates.eye * len(survey.field.cameras) + look * rays_of(survey.field, lattice)
+    return rates.eye * len(survey.field.cameras) + look * rays_of(survey.field, voxel_grid)
 
 
-def _points(survey: Survey, table: np.ndarray, inside: np.ndarray, voxel: float) -> float:
+def _points(survey: FieldProbe, table: np.ndarray, inside: np.ndarray, voxel: float) -> float:
     """How many of the points inside a box a table [S, M] says yes to, between its voxel sizes; by all points where few are inside."""
     count = int(inside.sum())
     here, all_ = table[:, inside].sum(axis=1), table.mean(axis=1)

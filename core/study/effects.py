@@ -20,7 +20,7 @@ from ..geometry.camera import Camera
 from ..io.images import over, to_uint8
 from ..nerf.field import Field
 from ..progress import Progress, silent
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from ..training import decisions
 from ..training.config import TrainSettings
 from ..training.decisions import Decision
@@ -116,7 +116,7 @@ def of_field(field: Field) -> list[Effect]:
     return _rows([*(d for d in missing if d.effect not in known), *told, _fill(field.ndc is not None), *cameras, *before])
 
 
-def of_scene(snerg: Snerg, codec: CodecSettings | None = None) -> list[Effect]:
+def of_scene(snerg: Scene, codec: CodecSettings | None = None) -> list[Effect]:
     """What a baked scene carries, and what its bake and refining measured. codec: of its pictures, None where it is not stored so."""
     told = {value["effect"]: Decision(**value) for value in snerg.about.get("trained", {}).get("decisions", [])}
     carries = "The scene carries " + ("features and a network." if snerg.network is not None else "neither features nor a network.")
@@ -198,16 +198,16 @@ def _fill(forward: bool) -> Decision:
     return Decision(FILL, False, "The scene is not forward-facing; as in the paper, it is for scenes that are (supplement C.3).")
 
 
-def _fill_of(snerg: Snerg) -> Decision:
+def _fill_of(snerg: Scene) -> Decision:
     bake = snerg.about.get("bake", {})
     if errors := bake.get("holes"):
         evidence = f"Rays of the cameras are {errors['with']:.5f} away from the field's with it, {errors['without']:.5f} without it."
-        return Decision(FILL, snerg.fill_holes, evidence, errors["with"], errors["without"])
-    if not snerg.fill_holes and snerg.ndc is None:
+        return Decision(FILL, snerg.opacity_correction, evidence, errors["with"], errors["without"])
+    if not snerg.opacity_correction and snerg.ndc is None:
         return _fill(False)
     told = bake.get("settings", {}).get("fill_holes") is not None
     why = "Its bake was told so." if told else "The scene does not say why; it is for forward-facing scenes (supplement C.3)."
-    return Decision(FILL, snerg.fill_holes, why, overridden=told)
+    return Decision(FILL, snerg.opacity_correction, why, overridden=told)
 
 
 def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:
@@ -231,7 +231,7 @@ def _codec(codec: CodecSettings | None) -> Decision:
     return Decision(CODEC, codec.name, f"Stored at quality {codec.quality}, as its bake was told.", float(codec.quality), overridden=True)
 
 
-def _view_of(snerg: Snerg, decision: Decision) -> Effect:
+def _view_of(snerg: Scene, decision: Decision) -> Effect:
     if snerg.network is None:
         return Effect(decision, f"Another {_megabytes(snerg.cells.nbytes)} of memory, and a network once a pixel.", "That is saved.")
     return Effect(
@@ -241,7 +241,7 @@ def _view_of(snerg: Snerg, decision: Decision) -> Effect:
     )
 
 
-def _clear_of(snerg: Snerg) -> Effect:
+def _clear_of(snerg: Scene) -> Effect:
     light = snerg.about.get("bake", {}).get("light")
     if not light:
         return Effect(unknown(CLEAR, "The scene does not say what becomes of light in it.", PASSES), *WORTH[CLEAR])
@@ -250,7 +250,7 @@ def _clear_of(snerg: Snerg) -> Effect:
     return Effect(Decision(CLEAR, light["passes"] >= PASSES, evidence, light["passes"], PASSES), *WORTH[CLEAR])
 
 
-def _cull_of(snerg: Snerg) -> Effect:
+def _cull_of(snerg: Scene) -> Effect:
     bake = snerg.about.get("bake", {})
     settings, voxels = bake.get("settings", {}), bake.get("voxels")
     threshold = settings.get("visibility_threshold")
@@ -265,7 +265,7 @@ def _cull_of(snerg: Snerg) -> Effect:
     return Effect(Decision(CULL, True, evidence, share, threshold), costs, saves)
 
 
-def _samples_of(snerg: Snerg) -> Effect:
+def _samples_of(snerg: Scene) -> Effect:
     bake = snerg.about.get("bake", {})
     if "samples" not in bake:
         return Effect(unknown(SAMPLES, "The scene does not say how it was baked.", GAIN), *WORTH[SAMPLES])
@@ -283,7 +283,7 @@ def _samples_of(snerg: Snerg) -> Effect:
     return Effect(Decision(SAMPLES, str(count), evidence, last, GAIN), *worth)
 
 
-def _refine_of(snerg: Snerg) -> Effect:
+def _refine_of(snerg: Scene) -> Effect:
     report = snerg.about.get("refine")
     if snerg.network is None:
         return Effect(Decision(REFINE, False, "The scene is diffuse: there is no network to refine."), "", "")

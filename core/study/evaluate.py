@@ -21,9 +21,9 @@ from ..io.images import over, png_bytes, to_uint8
 from ..io.lock import writes_out
 from ..nerf.frame import Frame
 from ..progress import Progress, silent, within
-from ..rendering.acceleration import tables_of
-from ..rendering.render import MarchSettings, march
-from ..scene.scene import Snerg
+from ..rendering.acceleration import acceleration_of
+from ..rendering.render import MarchSettings, render_scene
+from ..scene.scene import Scene
 from ..training.provenance import background_of, options_of, trained
 from .contact_sheet import contact_sheet, error_picture
 from .metrics import mean_psnr, mse, psnr_of, ssim
@@ -115,18 +115,18 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
     if kind in ("scene", "reference scene", "page"):
         snerg = ready_scene(path, settings)
         return Target(
-            "scene", lambda camera, progress: march(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
+            "scene", lambda camera, progress: render_scene(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
         )
     raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
 
 
-def ready_scene(path: Path, settings: MarchSettings) -> Snerg:
+def ready_scene(path: Path, settings: MarchSettings) -> Scene:
     """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
     one that the settings ask for a network at every sample."""
     snerg = any_scene(path)
     if settings.per_sample_network and snerg.network is None:
         raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
-    tables_of(snerg)
+    acceleration_of(snerg)
     return snerg
 
 

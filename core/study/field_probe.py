@@ -28,12 +28,12 @@ from ..io.images import png_bytes
 from ..nerf.field import CHUNK, Field
 from ..nerf.sampling import CELLS, Occupancy, cell_index, clip_rays
 from ..nerf.volume_rendering import optical_depth
-from ..rendering.acceleration import tables_of
-from ..rendering.render import TILE, MarchSettings, march, march_rays, tiled
+from ..rendering.acceleration import acceleration_of
+from ..rendering.render import TILE, MarchSettings, march_rays, render_scene, tiled
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, places_of
 from ..scene.quantize import quantize
-from ..scene.scene import Snerg
-from ..scene.voxel_grid import Lattice
+from ..scene.scene import Scene
+from ..scene.voxel_grid import VoxelGrid
 
 POINTS = 4096  # that stand for all that a field may hold
 FINENESS = (128, 256, 512, 1024)  # voxels along the domain's longest side at which they are looked at
@@ -80,7 +80,7 @@ class Rates:
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class FieldProbe:
     """What a field holds, by points [M, 3] of its space drawn evenly from what it may hold, each standing for `share` of its volume.
 
     coarse: the field with so few occupied cells that they are quickly gone through. inside: [M], whether the field may hold
@@ -105,7 +105,7 @@ class Survey:
     seconds: float
 
 
-def survey(field: Field, seed: int = 0) -> Survey:
+def survey(field: Field, seed: int = 0) -> FieldProbe:
     """Look at a field, and time this machine on it (JAX). Takes a few seconds beside compiling.
 
     Raises SnergError for a field that cannot be baked, or that is empty.
@@ -127,9 +127,11 @@ def survey(field: Field, seed: int = 0) -> Survey:
     samples = tuple(fitting(field, box, points[k], float(v), rng) for v, k in zip(voxels, kept, strict=True))
     resolution = small_resolution(field)
     coarser, small = pilot(field, box, resolution // 2), pilot(field, box, resolution)
-    rates = timed(field, Lattice.inside(box, float(voxels[TIMED])), points[kept[TIMED]], start, min(s for _, s in looks), small, coarser)
+    rates = timed(field, VoxelGrid.inside(box, float(voxels[TIMED])), points[kept[TIMED]], start, min(s for _, s in looks), small, coarser)
     took = time.perf_counter() - began - start
-    return Survey(field, coarse(field), points, share, inside, voxels, held, kept, samples, _filled(small), small.voxel_size, rates, took)
+    return FieldProbe(
+        field, coarse(field), points, share, inside, voxels, held, kept, samples, _filled(small), small.voxel_size, rates, took
+    )
 
 
 def coarse(field: Field) -> Field:
@@ -230,10 +232,10 @@ def fitting(field: Field, box: Box, points: np.ndarray, voxel: float, rng: np.ra
     """Samples a voxel that a bake would choose: as it does, by fewer rays, from some of the points [M, 3] that are kept."""
     if not len(points):
         return 1
-    lattice = Lattice.inside(box, voxel)
+    voxel_grid = VoxelGrid.inside(box, voxel)
     some = points[rng.choice(len(points), min(len(points), SAMPLE_RAYS), replace=False)]
-    start = np.floor((some - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / voxel).astype(np.int64)
-    return worth(field, lattice, start, rng, 0)[0]
+    start = np.floor((some - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel).astype(np.int64)
+    return worth(field, voxel_grid, start, rng, 0)[0]
 
 
 def small_resolution(field: Field) -> int:
@@ -242,27 +244,29 @@ def small_resolution(field: Field) -> int:
     return int(np.clip(CELLS * (PILOT / max(occupied, 1)) ** (1 / 3), 48, 192))
 
 
-def pilot(field: Field, box: Box, resolution: int) -> Snerg:
+def pilot(field: Field, box: Box, resolution: int) -> Scene:
     """A small bake, seen by a few of the cameras; what equation 9 would change in it is not looked at."""
-    settings = BakeSettings(resolution=resolution, samples=1, fill_holes=False)
+    settings = BakeSettings(resolution=resolution, samples=1, opacity_correction=False)
     return bake(field, box, field.cameras[:: max(1, len(field.cameras) // 4)], settings)
 
 
-def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, query: float, small: Snerg, coarser: Snerg) -> Rates:
+def timed(field: Field, voxel_grid: VoxelGrid, points: np.ndarray, start: float, query: float, small: Scene, coarser: Scene) -> Rates:
     """What this machine takes for parts of a bake on a lattice, some of whose kept voxels are round points [N, 3], and of a march.
 
     small, coarser: bakes of the field, the second half as fine.
     """
-    candidates = np.argwhere(may_hold(field, lattice))
+    candidates = np.argwhere(may_hold(field, voxel_grid))
     places = candidates[np.linspace(0, len(candidates) - 1, min(len(candidates), BLOCKS)).astype(int)]
-    _, tested = together(lambda some: judge(depth_at(field, lattice, some), 0.005), np.array_split(places, max(1, len(places) // SLAB)))
-    held = sum(int(field.holds(field.domain.from_world(lattice.centres(place[None]))).sum()) for place in places)
+    _, tested = together(lambda some: judge(depth_at(field, voxel_grid, some), 0.005), np.array_split(places, max(1, len(places) // SLAB)))
+    held = sum(int(field.holds(field.domain.from_world(voxel_grid.centres(place[None]))).sum()) for place in places)
     test = max(tested - query * held, 0.2 * tested) / max(len(places) * DATA_VOXELS**3, 1)
-    corner = np.floor((points - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / lattice.voxel_size).astype(np.int64)
+    corner = np.floor((points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size).astype(
+        np.int64
+    )
     near = np.array(list(product(range(4), repeat=3)))  # so many that no chunk of points is mostly padding
     voxels = (np.maximum(corner[: 2 * THREADS * CHUNK // len(near)], 0)[:, None] + near).reshape(-1, 3)
     parts = np.array_split(voxels, 2 * THREADS)
-    values, filled = together(lambda some: average(field, lattice, some, 2, 0), parts)
+    values, filled = together(lambda some: average(field, voxel_grid, some, 2, 0), parts)
     channels = 4 if field.network is None else 8
     mixed = [np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1) for colour, alpha in values]
     pairs = list(zip(parts, mixed, strict=True))
@@ -291,7 +295,7 @@ def timed(field: Field, lattice: Lattice, points: np.ndarray, start: float, quer
     )
 
 
-def growing(small: Snerg, coarser: Snerg, views: Sequence[Camera], settings: MarchSettings) -> tuple[float, float]:
+def growing(small: Scene, coarser: Scene, views: Sequence[Camera], settings: MarchSettings) -> tuple[float, float]:
     """Samples that a ray takes in a bake, and the power of the resolution with which they grow, from a bake half as fine."""
     met, some = [], [_sized(camera, COUNTED) for camera in views]
     for scene in (coarser, small):
@@ -322,18 +326,18 @@ def kept_voxels(told: dict[str, Any]) -> int:
     return int(voxels["held"] if voxels["seen"] is None else voxels["seen"])
 
 
-def _marches(snerg: Snerg, views: Sequence[Camera]) -> tuple[float, float, float, float, float]:
+def _marches(snerg: Scene, views: Sequence[Camera]) -> tuple[float, float, float, float, float]:
     """Seconds of a camera and of each of its rays where they only look, of a picture and of each of its rays, and of the tables a block."""
     began = time.perf_counter()
-    tables_of(snerg)
+    acceleration_of(snerg)
     table = (time.perf_counter() - began) / max(len(snerg.cells), 1)
     visited = np.zeros(len(snerg.cells) * CELL_VOXELS**3, bool)
-    march(snerg, views[0].resized(16, 16))  # what is done once
+    render_scene(snerg, views[0].resized(16, 16))  # what is done once
 
     def look(camera: Camera) -> None:
         march_rays(snerg, *_rays(camera), LOOKING, near=camera.near, visited=visited)
 
-    return *_line(look, views, LOOKS), *_line(lambda camera: march(snerg, camera), views, SIZES), table
+    return *_line(look, views, LOOKS), *_line(lambda camera: render_scene(snerg, camera), views, SIZES), table
 
 
 def _line(work: Callable[[Camera], Any], views: Sequence[Camera], sides: Sequence[int]) -> tuple[float, float]:
@@ -353,11 +357,11 @@ def _seconds(work: Callable[[Camera], Any], camera: Camera) -> float:
     return time.perf_counter() - began
 
 
-def rays_of(field: Field, lattice: Lattice) -> float:
+def rays_of(field: Field, voxel_grid: VoxelGrid) -> float:
     """Rays of all cameras together that decide what is visible on a lattice, by some of them."""
-    half, some = lattice.halved(), field.cameras[:: max(1, len(field.cameras) // EYES)]
+    half, some = voxel_grid.halved(), field.cameras[:: max(1, len(field.cameras) // EYES)]
     nothing = np.full(half.blocks, -1, np.int32), np.zeros((0, *(CELL_VOXELS,) * 3, 4), np.uint8)
-    scene = Snerg(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
+    scene = Scene(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
     return sum(_count(marching_camera(camera, scene)) for camera in some) * len(field.cameras) / max(len(some), 1)
 
 
@@ -369,7 +373,7 @@ def outside(box: Box) -> Camera:
     return Camera(WIDTH, WIDTH, (1.4 * WIDTH, 1.4 * WIDTH), (WIDTH / 2, WIDTH / 2), pose)
 
 
-def _filled(snerg: Snerg) -> tuple[np.ndarray, float]:
+def _filled(snerg: Scene) -> tuple[np.ndarray, float]:
     """Centres [N, 3] and the size of cubes, not too many, that hold something."""
     row, *local = np.nonzero(snerg.cells[:, 1:-1, 1:-1, 1:-1, -1])
     voxel, size = places_of(snerg.indirection)[row] * DATA_VOXELS + np.stack(local, axis=-1), 1

@@ -19,7 +19,7 @@ from ..io.schema import number, numbers, record
 from ..nerf.checkpoint import FILE
 from ..nerf.field import Field
 from ..nerf.reference_checkpoint import find_checkpoint
-from .field_probe import Rates, Survey, coarse
+from .field_probe import FieldProbe, Rates, coarse
 
 VERSION = 1
 ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples")
@@ -33,7 +33,7 @@ def stamp(source: Path) -> str:
     return f"{known.st_mtime_ns} {known.st_size} {platform.node()} {os.cpu_count()}"
 
 
-def write_survey(path: Path, survey: Survey, mark: str) -> None:
+def write_survey(path: Path, survey: FieldProbe, mark: str) -> None:
     """Keep what was found of the field with this stamp, whole or not at all. Raises SnergError where it cannot be written."""
     about = {"survey": VERSION, "field": mark, "rates": asdict(survey.rates), "share": survey.share}
     about |= {"pilot": survey.pilot, "seconds": survey.seconds, "size": survey.filled[1]}
@@ -76,7 +76,7 @@ def check(about: dict[str, Any], found: dict[str, np.ndarray]) -> dict[str, Any]
     return {name: found[name] for name in ARRAYS} | values
 
 
-def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> Survey | None:
+def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> FieldProbe | None:
     """What `write_survey` kept of the field with this stamp, which is then read; None where nothing is kept, it is of another field or
     machine or cannot be read: it is soon made again. Raises SnergError as `field` does."""
     try:
@@ -88,4 +88,4 @@ def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> Survey | N
     except SnergError:
         return None
     read = field()
-    return Survey(field=read, coarse=coarse(read), **values)
+    return FieldProbe(field=read, coarse=coarse(read), **values)

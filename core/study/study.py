@@ -27,7 +27,7 @@ from ..io.lock import writes_out
 from ..nerf.checkpoint import is_field
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
-from ..scene.scene import Snerg
+from ..scene.scene import Scene
 from ..training.config import PRESETS
 from ..training.provenance import background_of, options_of, trained
 from ..training.validation import some_views
@@ -107,7 +107,7 @@ def study(
     return result
 
 
-def _known(opened: Field | Snerg | None) -> dict[str, Any]:
+def _known(opened: Field | Scene | None) -> dict[str, Any]:
     """What a field or a scene knows of its training, as `trained`."""
     if opened is None:
         return {}
@@ -115,7 +115,7 @@ def _known(opened: Field | Snerg | None) -> dict[str, Any]:
 
 
 def _views(
-    source: Path, opened: Field | Snerg | None, dataset: Path | None, settings: StudySettings, notes: list[str]
+    source: Path, opened: Field | Scene | None, dataset: Path | None, settings: StudySettings, notes: list[str]
 ) -> tuple[Dataset, Dataset]:
     """The views to measure on, and the images to refine on; where none were held out, some are, and a note says so."""
     if opened is None:
@@ -171,12 +171,12 @@ def begin(out: Path, about: dict[str, Any]) -> None:
 
 
 def _subject(
-    source: Path, opened: Field | Snerg | None, views: Dataset, training: Dataset, out: Path, settings: StudySettings, progress: Progress
+    source: Path, opened: Field | Scene | None, views: Dataset, training: Dataset, out: Path, settings: StudySettings, progress: Progress
 ) -> tuple[Subject, Config]:
     """What is studied, and the usual configuration of it."""
     box = Box.read(settings.box) if settings.box is not None else None
     baked, behind = BakeSettings(resolution=settings.resolution, seed=settings.seed), background_of(_known(opened))
-    if isinstance(opened, Snerg):
+    if isinstance(opened, Scene):
         usual = Config(replace(baked, resolution=max(opened.shape)), refine=False)
         return Subject({}, opened, views, None, box, behind, settings.repeats), usual
     fields = {"": source} if opened is not None else _trained(source, settings, out, progress)

@@ -31,12 +31,12 @@ from ..nerf.frame import Frame
 from ..nerf.model import SHAPES, ViewNetwork
 from ..nerf.render import render_field
 from ..progress import Progress, silent, within
-from ..rendering.acceleration import tables_of
-from ..rendering.render import march
-from ..scene.scene import Snerg
+from ..rendering.acceleration import acceleration_of
+from ..rendering.render import render_scene
+from ..scene.scene import Scene
 from .cost_model import Estimate, estimate
 from .evaluate import Score
-from .field_probe import Survey, survey
+from .field_probe import FieldProbe, survey
 from .machine import watched
 from .pareto import Row
 from .plan import Config, Step
@@ -55,7 +55,7 @@ class Subject:
     """
 
     fields: dict[str, Path]
-    scene: Snerg | None
+    scene: Scene | None
     views: Dataset
     training: Dataset | None
     box: Box | None
@@ -71,9 +71,9 @@ class Sweep:
         self.subject, self.out = subject, out
         self.rows = {path.stem: read_row(path) for path in sorted((out / "rows").glob("*.json"))}
         self._fields: dict[str, Field] = {}
-        self._surveys: dict[str, Survey] = {}
-        self._held: tuple[str, Snerg, dict[str, Any]] | None = None
-        self._stored: dict[tuple[str, bool, str], tuple[Snerg, dict[str, float]]] = {}
+        self._surveys: dict[str, FieldProbe] = {}
+        self._held: tuple[str, Scene, dict[str, Any]] | None = None
+        self._stored: dict[tuple[str, bool, str], tuple[Scene, dict[str, float]]] = {}
 
     # What is there to begin with
 
@@ -88,7 +88,7 @@ class Sweep:
             self._fields[name] = any_field(self.subject.fields[name])
         return self._fields[name]
 
-    def survey(self, name: str) -> Survey:
+    def survey(self, name: str) -> FieldProbe:
         """Of a field, for predictions; taken once."""
         if name not in self._surveys:
             self._surveys[name] = survey(self.field(name))
@@ -134,9 +134,9 @@ class Sweep:
         row: Row = {"key": config.key, "config": config.to_json(), **told, **stored}
         row["seconds"] = told["seconds"] | {name: value for name, value in stored.items() if name in ("write", "read")}
         began = time.perf_counter()
-        tables_of(shown)
+        acceleration_of(shown)
         row["seconds"]["tables"] = round(time.perf_counter() - began, 3)
-        row |= self._measured(config.key, lambda camera: march(shown, camera, config.march), config.page, within(progress, 0.6, 1))
+        row |= self._measured(config.key, lambda camera: render_scene(shown, camera, config.march), config.page, within(progress, 0.6, 1))
         row |= {"blocks": len(shown.cells), "memory_megabytes": round(shown.cells.nbytes / 1e6, 1), "voxels": list(shown.shape)}
         if said is not None:
             row["predicted"] = self._prediction(said, config)
@@ -210,7 +210,7 @@ class Sweep:
 
     # Scenes
 
-    def scene_of(self, config: Config, progress: Progress = silent) -> tuple[Snerg, dict[str, Any]]:
+    def scene_of(self, config: Config, progress: Progress = silent) -> tuple[Scene, dict[str, Any]]:
         """The scene of a configuration before it is stored, and {"seconds": of its stages, "peak_megabytes", "samples"}."""
         snerg, told = self._baked(config, within(progress, 0, 0.7))
         if not config.refine or self.subject.scene is not None or snerg.network is None or self.subject.training is None:
@@ -224,7 +224,7 @@ class Sweep:
         network, took = _read_refined(path)
         return replace(snerg, network=network), told | {"seconds": told["seconds"] | {"refine": round(took, 3)}}
 
-    def _baked(self, config: Config, progress: Progress) -> tuple[Snerg, dict[str, Any]]:
+    def _baked(self, config: Config, progress: Progress) -> tuple[Scene, dict[str, Any]]:
         """The scene as it is baked, from memory, from an earlier run or from the field."""
         if self.subject.scene is not None:
             return self.subject.scene, {"seconds": {}}
@@ -252,7 +252,7 @@ class Sweep:
         write_scene(snerg, folder / "scene")
         write_bytes(folder / "baked.json", json_bytes(told))
 
-    def _shown(self, config: Config, snerg: Snerg) -> tuple[Snerg, dict[str, float]]:
+    def _shown(self, config: Config, snerg: Scene) -> tuple[Scene, dict[str, float]]:
         """The scene as its files give it back, {"megabytes", "write", "read"}; what is read is the same where nothing is lost."""
         key = (config.baked, config.refine, str(config.codec.to_json()))
         if key in self._stored:

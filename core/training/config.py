@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, replace
 
 from ..errors import SnergError
-from ..nerf.model import VIEW_DEGREES, VIEWS, Family, HashFamily, MlpFamily
+from ..nerf.model import VIEW_DEGREES, VIEWS, HashModelConfig, MlpModelConfig, ModelConfig
 
 MOST_BYTES = 2**31  # of one array of a step; a slip of the finger asks for more
 LONG = 480.0  # seconds of training
@@ -54,7 +54,7 @@ class TrainSettings:
     seconds, steps: how long to train, 300 seconds; the schedule spans it (section 6: 250000 steps). seed: of everything random.
     """
 
-    family: Family = HashFamily()
+    family: ModelConfig = HashModelConfig()
     view_dependence: str = "auto"
     ndc: str = "auto"
     transparency: str = "auto"
@@ -144,9 +144,9 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
         raise SnergError(f"The setting {name} is {value!r}; it must be one of {', '.join(choices)}.")
 
 
-def _check_family(family: Family) -> None:
+def _check_family(family: ModelConfig) -> None:
     _within("family.width", family.width, 1, 8192)
-    if isinstance(family, MlpFamily):
+    if isinstance(family, MlpModelConfig):
         for name, most in (("depth", 64), ("skip", 64)):
             _within(f"family.{name}", getattr(family, name), 1, most)
         _within("family.degrees", family.degrees, 0, 20)
@@ -165,14 +165,14 @@ def _check_family(family: Family) -> None:
 def suited_to_time(settings: TrainSettings) -> TrainSettings:
     """The settings with a hash table twice as large where the training is long enough to fill it (measured: a step takes a
     fifth to two fifths longer; it loses half a decibel after two minutes, and still a little after five)."""
-    if not isinstance(settings.family, HashFamily) or (settings.seconds or 0) < LONG:
+    if not isinstance(settings.family, HashModelConfig) or (settings.seconds or 0) < LONG:
         return settings
     grid = settings.family.grid
     return replace(settings, family=replace(settings.family, grid=replace(grid, log2_size=grid.log2_size + 1)))
 
 
 _PAPER = TrainSettings(
-    family=MlpFamily(width=512, depth=8),  # section 6: JAXNeRF+
+    family=MlpModelConfig(width=512, depth=8),  # section 6: JAXNeRF+
     view_dependence="deferred",  # section 4.2
     sampler="hierarchical",
     spacing=2 / 512,
@@ -199,7 +199,7 @@ PRESETS = {
     # The paper's own training (section 6). It is meant for several GPUs.
     "paper": _PAPER,
     # JAXNeRF's sizes (supplement C.4: 64 + 128 samples a ray, 256 wide) trained as the paper trains.
-    "paper-small": replace(_PAPER, family=MlpFamily(width=256, depth=8), coarse=64, fine=128),
+    "paper-small": replace(_PAPER, family=MlpModelConfig(width=256, depth=8), coarse=64, fine=128),
     # The paper's kind of network on the packed samples of 'fast', to compare hash grids with.
-    "mlp": TrainSettings(family=MlpFamily(width=128, depth=4), rate=1e-2, final_rate=1e-3),
+    "mlp": TrainSettings(family=MlpModelConfig(width=128, depth=4), rate=1e-2, final_rate=1e-3),
 }

@@ -9,10 +9,10 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from ..errors import SnergError
-from ..nerf.model import HashFamily, MlpFamily
+from ..nerf.model import HashModelConfig, MlpModelConfig
 from .config import TrainSettings, one_of
 
-FAMILIES: dict[str, type[HashFamily] | type[MlpFamily]] = {"hash": HashFamily, "mlp": MlpFamily}
+FAMILIES: dict[str, type[HashModelConfig] | type[MlpModelConfig]] = {"hash": HashModelConfig, "mlp": MlpModelConfig}
 
 
 def with_values(settings: TrainSettings, values: Mapping[str, str]) -> TrainSettings:

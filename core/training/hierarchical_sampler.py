@@ -19,7 +19,7 @@ from ..nerf.volume_rendering import MAX_OPTICAL_DEPTH, composite_rows, optical_d
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over
 from .occupancy_sampler import Batch
-from .ray_dataset import PixelPool
+from .ray_dataset import RayDataset
 
 if TYPE_CHECKING:
     from .validation import Rays
@@ -30,13 +30,13 @@ QUERY = 8192  # points a call when the density alone is asked for
 PADDING = 1e-5  # of the fine samples are spread evenly over a ray
 
 
-class HierarchicalScheme:
+class HierarchicalSampler:
     """Draws rays; the loss samples them. See train.py for what a scheme is.
 
     The occupancy grid takes no part in sampling: it says where the trained field holds something.
     """
 
-    def __init__(self, settings: TrainSettings, pool: PixelPool, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = alive

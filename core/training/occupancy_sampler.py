@@ -20,7 +20,7 @@ from ..nerf.shading import ray_colour, sample_values
 from ..nerf.volume_rendering import composite, depth_before, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over, softness
-from .ray_dataset import PixelPool
+from .ray_dataset import RayDataset
 from .termination_depth import DARK, LEFT, RayEnds
 from .validation import Rays, packed_colours
 
@@ -52,10 +52,10 @@ class Drawn:
     distance: np.ndarray
 
 
-class PackedScheme:
+class OccupancySampler:
     """Draws rays, packs samples of what may hold something, and learns where that is."""
 
-    def __init__(self, settings: TrainSettings, pool: PixelPool, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = self.occupancy.occupied

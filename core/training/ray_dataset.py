@@ -13,7 +13,7 @@ from ..geometry.ndc import Ndc, space_rays
 from ..nerf.sampling import Domain, dilated
 
 
-class PixelPool:
+class RayDataset:
     """Pixels by number, view after view, row by row.
 
     pixels: [N, 4] uint8, sRGB with straight alpha, 255 where an image has none. alpha: whether every image has it and it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .ray_dataset import PixelPool
+from .ray_dataset import RayDataset
 
 MOST_TILES = 2**20
 DARK = 1e-3  # a ray ends where less light than this is left
@@ -21,7 +21,7 @@ class RayEnds:
     sends its tile back to looking all the way, and is left out of that step's loss.
     """
 
-    def __init__(self, pool: PixelPool) -> None:
+    def __init__(self, pool: RayDataset) -> None:
         """Tiles as small as MOST_TILES of them allow, each looking all the way."""
         self.starts, self.ends, self.widths = pool.starts, pool.ends, pool.widths
         heights = (pool.ends - pool.starts) // pool.widths

@@ -32,14 +32,14 @@ from ..progress import Note, Progress, silent
 from . import decisions, view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
-from .hierarchical_sampler import HierarchicalScheme
+from .hierarchical_sampler import HierarchicalSampler
 from .log import Log
 from .losses import plain_colour
 from .non_finite import cause, not_finite
-from .occupancy_sampler import Batch, PackedScheme
+from .occupancy_sampler import Batch, OccupancySampler
 from .optimizer import learning_rate, zero_moments
 from .parallel import Devices
-from .ray_dataset import PixelPool
+from .ray_dataset import RayDataset
 from .silhouette import border_share, silhouette
 from .validation import HELD_OUT_RAYS, Rays, some_views
 from .weight_average import EVERY, Average
@@ -51,7 +51,7 @@ SAVE_SHARE = 0.02  # of the time may go into saving
 TELL_EVERY = 0.2  # seconds; how long Ctrl-C may wait while steps go on
 
 
-class Scheme(Protocol):
+class Sampler(Protocol):
     """A way to sample rays: what a step's batch and loss are."""
 
     settings: TrainSettings
@@ -135,7 +135,7 @@ class Trainer:
         progress(0.0, "Compiling the training step")
         self._step = self.devices.step(settings, self.scheme.loss)
 
-    def _read(self, masks: Masks, progress: Progress) -> PixelPool:
+    def _read(self, masks: Masks, progress: Progress) -> RayDataset:
         """All pixels, and whether their alpha counts."""
         data, count = self.dataset, len(self.dataset.views)
 
@@ -146,9 +146,9 @@ class Trainer:
 
         flat = self.settings.transparency == "off"
         domain = decisions.suggested(data.suggested_box())
-        pool = PixelPool(images(flat), data.cameras, domain, masks)
+        pool = RayDataset(images(flat), data.cameras, domain, masks)
         self.decide(decisions.transparency(self.settings.transparency, pool.pixels, pool.alpha))
-        return PixelPool(images(True), data.cameras, domain, masks) if pool.alpha and not self.decisions[-1].chosen else pool
+        return RayDataset(images(True), data.cameras, domain, masks) if pool.alpha and not self.decisions[-1].chosen else pool
 
     def _space(self, masks: Masks, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
         """Where the scene is: the field's domain, its device coordinates if it has any, and the cells that may hold something."""
@@ -181,21 +181,23 @@ class Trainer:
         self.pool.keep_near(found, masks)
         return found
 
-    def _sample(self, alive: np.ndarray) -> Scheme:
+    def _sample(self, alive: np.ndarray) -> Sampler:
         """The scheme that the settings name, with what it leaves open decided."""
         origins, directions, near, *_ = self.pool.rays(self.pool.draw(1024, np.random.default_rng(self.settings.seed)))
         rays = origins, directions, near
         self.decide(decisions.sampling(self.settings, self.domain, alive, *rays))
         if self.settings.sampler == "packed":
-            return PackedScheme(self.settings, self.pool, self.domain, alive, self.rng)
+            return OccupancySampler(self.settings, self.pool, self.domain, alive, self.rng)
         hierarchy = "on" if self.decisions[-1].chosen else "off"
         self.decide(decisions.disparity(self.settings.distances, self.domain, *rays, self.ndc is not None))
         disparity = "disparity" if self.decisions[-1].chosen else "linear"
-        return HierarchicalScheme(replace(self.settings, distances=disparity, hierarchy=hierarchy), self.pool, self.domain, alive, self.rng)
+        return HierarchicalSampler(
+            replace(self.settings, distances=disparity, hierarchy=hierarchy), self.pool, self.domain, alive, self.rng
+        )
 
     def _held_out(self, data: Dataset) -> Rays:
         images = (data.read(i) for i in range(len(data.views)))
-        pool = PixelPool(images, data.cameras, self.domain, masks_of(data), self.ndc)
+        pool = RayDataset(images, data.cameras, self.domain, masks_of(data), self.ndc)
         return Rays(pool, None, HELD_OUT_RAYS, self.settings)
 
     def decide(self, decision: Decision) -> None:

@@ -14,7 +14,7 @@ from ..nerf.shading import ray_colour, sample_values
 from ..nerf.volume_rendering import composite, optical_depth
 from .config import TrainSettings
 from .losses import over, shown_over
-from .ray_dataset import PixelPool
+from .ray_dataset import RayDataset
 
 HELD_OUT_RAYS = 4096  # enough for 0.1 dB, and little next to a second of training
 HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
@@ -25,7 +25,7 @@ Evaluate = Callable[[np.ndarray], Sequence[np.ndarray]]
 class Rays:
     """Rays of a pool, drawn once, with the colours that they ought to have over the background that the field is trained over."""
 
-    def __init__(self, pool: PixelPool, views: np.ndarray | None, count: int, settings: TrainSettings) -> None:
+    def __init__(self, pool: RayDataset, views: np.ndarray | None, count: int, settings: TrainSettings) -> None:
         """views: [views] bool, those to draw from; all when None."""
         rng = np.random.default_rng(settings.seed)
         held, pool.withheld = pool.withheld, np.zeros(len(pool.ends), bool) if views is None else ~views

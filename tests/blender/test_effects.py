@@ -17,7 +17,7 @@ from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.train import train_field
 from snerg.core.data.load import read_dataset
 from snerg.core.io.files import folder_bytes
-from snerg.core.rendering.render import march
+from snerg.core.rendering.render import render_scene
 from snerg.core.study.evaluate import evaluate
 from snerg.core.training.view_dependence_test import EFFECT
 from snerg.snerg_addon.bridge import box_from_blender
@@ -80,7 +80,7 @@ def frame_seconds(scene: Path, dataset: Path) -> float:
     found = []
     for _ in range(6):
         began = time.perf_counter()
-        march(snerg, camera)
+        render_scene(snerg, camera)
         found.append(time.perf_counter() - began)
     return float(np.min(found))
 

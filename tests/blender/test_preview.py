@@ -12,7 +12,7 @@ from stage import add_camera
 from scenes import make_snerg
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.scene_files import write_scene
-from snerg.core.rendering.render import march
+from snerg.core.rendering.render import render_scene
 from snerg.operators.preview import Marching, enlarged
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import evaluated
@@ -36,7 +36,7 @@ def test_the_picture_is_what_the_marcher_gives(baked):
     assert bpy.ops.snerg.preview() == {"FINISHED"}
     image = bpy.data.images[NAME]
     shown = np.array(image.pixels[:]).reshape(camera.height, camera.width, 4)[::-1]
-    wanted = march(snerg, camera).over(tuple(scene.snerg.background))
+    wanted = render_scene(snerg, camera).over(tuple(scene.snerg.background))
     assert np.ptp(wanted) > 0.3 and np.abs(shown[..., :3] - wanted).max() < 1.01 / 255
 
 

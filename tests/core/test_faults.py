@@ -12,7 +12,7 @@ import pytest
 from faults import Faults
 
 from scenes import make_cameras, make_snerg
-from snerg.core.baking.resume import Kept
+from snerg.core.baking.resume import ResumeCache
 from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.export import export_reference
 from snerg.core.commands.import_artifact import import_source
@@ -24,7 +24,7 @@ from snerg.core.io.files import discard, json_bytes, read_json, write_bytes
 from snerg.core.nerf.checkpoint import read_field_and_state, write_field
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, init_field
+from snerg.core.nerf.model import HashModelConfig, init_field
 from snerg.core.nerf.sampling import Domain
 from snerg.core.training.log import Log, read_log
 from snerg.core.training.training_folder import finish
@@ -42,7 +42,7 @@ class Save:
 def field(steps: int) -> Field:
     """A field that says how long it was trained, in its arrays too."""
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
-    family = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
+    family = HashModelConfig(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
     drawn = init_field(family, "diffuse", np.random.default_rng(0))["field"]
     params = {name: np.full_like(array, steps) for name, array in drawn.items()}
     return Field(family, params, None, domain, None, 0.01, about={"steps": steps}, view="diffuse")
@@ -92,14 +92,14 @@ def with_source(write: Callable[[object, Path], None], old: Callable[[Path], Non
 
 
 def kept(folder: Path, parts: int) -> None:
-    work = Kept(folder / ".scene.bake", "key")
+    work = ResumeCache(folder / ".scene.bake", "key")
     for part in range(parts):
         work.add("stage", part, {"cells": np.full(8, part)})
         work.flush()
 
 
 def kept_state(folder: Path) -> object:
-    work = Kept(folder / ".scene.bake", "key")
+    work = ResumeCache(folder / ".scene.bake", "key")
     found = sorted((part, int(arrays["cells"].sum())) for part, arrays in work.read("stage"))
     assert found == [(part, 8 * part) for part in range(len(found))]
     return len(found)

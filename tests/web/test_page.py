@@ -18,7 +18,7 @@ from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.geometry.distortion import Distortion
-from snerg.core.rendering.render import march
+from snerg.core.rendering.render import render_scene
 from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
@@ -37,7 +37,7 @@ def copied(made: Path, tmp_path: Path) -> Path:
 
 
 def truth(index: int) -> np.ndarray:
-    return march(make_snerg(shape=(34, 30, 40)), make_cameras()[index]).over()
+    return render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[index]).over()
 
 
 def near(shown: np.ndarray, expected: np.ndarray) -> bool:
@@ -48,7 +48,7 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
     assert opened(page, serve(made) + "?width=160&height=120&background=grey") is None
     first = truth(0)
     snerg, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
-    assert near(picture(page), march(snerg, camera).over((128 / 255,) * 3))
+    assert near(picture(page), render_scene(snerg, camera).over((128 / 255,) * 3))
     page.get_by_role("radio", name="White background").check()
     assert near(picture(page), first)
 

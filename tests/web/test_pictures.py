@@ -27,8 +27,8 @@ from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene_files import read_scene, write_scene
 from snerg.core.geometry.camera import Camera
-from snerg.core.rendering.render import march
-from snerg.core.scene.scene import Snerg
+from snerg.core.rendering.render import render_scene
+from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
@@ -39,18 +39,18 @@ NAMES = [camera.name for camera in make_cameras()]
 FORWARD = [camera.name for camera in make_forward_cameras(make_frame())]
 
 
-def compare(page: Page, address: str, snerg: Snerg, camera: Camera, name: str | int) -> None:
+def compare(page: Page, address: str, snerg: Scene, camera: Camera, name: str | int) -> None:
     """The mean difference stays under half a level; nothing but pixels on the network's threshold differs visibly."""
     assert opened(page, f"{address}?camera={name}&width={camera.width}&height={camera.height}") is None
     shown = picture(page)
-    for truth in (dense_march(snerg, camera).over(), march(snerg, camera).over()):
+    for truth in (dense_march(snerg, camera).over(), render_scene(snerg, camera).over()):
         difference = np.abs(shown - truth)
         assert difference.mean() < 0.5 / 255
         assert np.mean(difference.max(axis=-1) < 2 / 255) > 0.999
 
 
 @pytest.fixture(scope="module")
-def turned(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Snerg, str, Path]:
+def turned(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Scene, str, Path]:
     snerg = make_snerg(angles=TURNED)
     folder = tmp_path_factory.mktemp("turned") / "web"
     write_bundle(snerg, make_cameras(), folder)
@@ -59,7 +59,7 @@ def turned(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Sner
 
 @pytest.mark.hard_case(10, 33, 34, 36, 37, 41, 42, 43)
 @pytest.mark.parametrize("index", range(len(NAMES)), ids=NAMES)
-def test_turned_box(page: Page, turned: tuple[Snerg, str, Path], index: int) -> None:
+def test_turned_box(page: Page, turned: tuple[Scene, str, Path], index: int) -> None:
     snerg, address, _ = turned
     compare(page, address, snerg, make_cameras()[index], index)
 
@@ -80,12 +80,12 @@ def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tu
     page.mouse.move(90, 60, steps=3)
     page.mouse.up()
     moved = picture(page)
-    assert np.abs(moved - march(snerg, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.abs(moved - render_scene(snerg, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
 
 
 @pytest.fixture(scope="module")
-def forward(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Snerg, str]:
+def forward(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Scene, str]:
     snerg = make_forward()
     folder = tmp_path_factory.mktemp("forward") / "web"
     write_bundle(snerg, make_forward_cameras(make_frame(), 160, 120), folder)
@@ -94,7 +94,7 @@ def forward(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Sne
 
 @pytest.mark.hard_case(9, 33, 34)
 @pytest.mark.parametrize("index", range(len(FORWARD)), ids=FORWARD)
-def test_forward_facing(page: Page, forward: tuple[Snerg, str], index: int) -> None:
+def test_forward_facing(page: Page, forward: tuple[Scene, str], index: int) -> None:
     snerg, address = forward
     compare(page, address, snerg, make_forward_cameras(make_frame(), 160, 120)[index], index)
 
@@ -114,11 +114,11 @@ def test_forward_facing_at_any_place_and_size(
     page.mouse.move(70, 62, steps=3)
     page.mouse.up()
     moved = picture(page)
-    assert np.abs(moved - march(snerg, camera).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.abs(moved - render_scene(snerg, camera).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
 
 
-def test_only_forward_facing_scenes_carry_their_code(page: Page, forward: tuple[Snerg, str], turned: tuple[Snerg, str, Path]) -> None:
+def test_only_forward_facing_scenes_carry_their_code(page: Page, forward: tuple[Scene, str], turned: tuple[Scene, str, Path]) -> None:
     page.add_init_script("""
         const give = WebGL2RenderingContext.prototype.shaderSource;
         window.sources = "";
@@ -167,12 +167,12 @@ def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bo
     camera = make_cameras()[0]
     assert opened(page, f"{address}?camera=0&width={camera.width}&height={camera.height}&background=black") is None
     shown = picture(page)
-    difference = np.abs(shown - march(back, camera).over(BLACK))
+    difference = np.abs(shown - render_scene(back, camera).over(BLACK))
     assert difference.mean() < 0.6 / 255 and np.mean(difference.max(axis=-1) < 6 / 255) > 0.999
     if codec.lossless:
         assert np.abs(shown - dense_march(snerg, camera).over(BLACK)).mean() < 0.5 / 255
     else:
-        assert (shown[march(snerg, camera).alpha == 0] == 0).all(), "no haze"
+        assert (shown[render_scene(snerg, camera).alpha == 0] == 0).all(), "no haze"
 
 
 @pytest.mark.hard_case(54)
@@ -237,7 +237,7 @@ def test_single_file_from_the_disk(page: Page, tmp_path: Path) -> None:
 
 @pytest.mark.hard_case(55)
 @pytest.mark.parametrize("limit", [64, 256, 2048])
-def test_texture_limits(page: Page, turned: tuple[Snerg, str, Path], limit: int) -> None:
+def test_texture_limits(page: Page, turned: tuple[Scene, str, Path], limit: int) -> None:
     """30 cells: one texture holds them at 256; at 64 they need four."""
     page.add_init_script(mocked_limit(limit))
     snerg, address, _ = turned
@@ -258,7 +258,7 @@ def mocked_limit(limit: int) -> str:
     """
 
 
-def test_a_device_too_small_says_so(page: Page, turned: tuple[Snerg, str, Path]) -> None:
+def test_a_device_too_small_says_so(page: Page, turned: tuple[Scene, str, Path]) -> None:
     page.add_init_script(mocked_limit(32))
     problem = opened(page, turned[1])
     assert problem and problem.startswith("The scene's texture is too large for this device: it has 30 blocks")

@@ -6,12 +6,12 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 from __future__ import annotations
 
 import bpy
-from drive import Walk, Window
+from drive import RayMarcher, Window
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
 
 
-def sidebar(window: Window) -> Walk:
+def sidebar(window: Window) -> RayMarcher:
     """N, the tab, the buttons, and a click on one."""
     window.seen["closed"] = window.sidebar.width
     yield from window.open_sidebar()
@@ -23,7 +23,7 @@ def sidebar(window: Window) -> Walk:
     yield from window.picture("box")
 
 
-def training(window: Window, photos: str) -> Walk:
+def training(window: Window, photos: str) -> RayMarcher:
     """Click Train; play the timeline and press Esc; another workspace and back; stop it there by the panel's button."""
     yield from begin(window, "artwork", photos)
     yield from window.picture("before")
@@ -51,7 +51,7 @@ def training(window: Window, photos: str) -> Walk:
     yield from window.picture("after")
 
 
-def play_and_escape(window: Window) -> Walk:
+def play_and_escape(window: Window) -> RayMarcher:
     """Space plays the timeline, Esc ends that."""
     yield from window.over_view()
     yield from window.press("SPACE")
@@ -60,7 +60,7 @@ def play_and_escape(window: Window) -> Walk:
     window.seen["ends"] = yield from window.until(lambda: not window.window.screen.is_animation_playing, 3)
 
 
-def another_workspace(window: Window, key: str) -> Walk:
+def another_workspace(window: Window, key: str) -> RayMarcher:
     """Ctrl-Page Down goes to the next one, Ctrl-Page Up back."""
     before = window.window.workspace.name
     yield from window.over_view()
@@ -68,7 +68,7 @@ def another_workspace(window: Window, key: str) -> Walk:
     window.seen[key] = yield from window.until(lambda: window.window.workspace.name != before, 5)
 
 
-def box_deleted(window: Window) -> Walk:
+def box_deleted(window: Window) -> RayMarcher:
     """Add a box by its button, then delete it with X."""
     yield from window.open_sidebar()
     yield from window.click("snerg.add_box")
@@ -86,7 +86,7 @@ def box_deleted(window: Window) -> Walk:
     yield from window.picture("deleted")
 
 
-def unsaved(window: Window) -> Walk:
+def unsaved(window: Window) -> RayMarcher:
     """Render a dataset in a file that was never saved, then save it."""
     quick(window, 24, 1)
     yield from window.open_sidebar()
@@ -112,7 +112,7 @@ def quick(window: Window, size: int, samples: int) -> None:
     scene.render.resolution_x = scene.render.resolution_y = size
 
 
-def second_file(window: Window, trained: str) -> Walk:
+def second_file(window: Window, trained: str) -> RayMarcher:
     """A project with a field; a second scene in its file; a second file beside it; and the first file again."""
     first = window.folder / "first.blend"
     yield from begin(window, "first")
@@ -133,7 +133,7 @@ def second_file(window: Window, trained: str) -> Walk:
     window.seen["again"] = window.texts("main") + window.texts("field")
 
 
-def search(window: Window) -> Walk:
+def search(window: Window) -> RayMarcher:
     """F3, a few letters, Enter."""
     yield from window.over_view()
     yield from window.press("F3")
@@ -147,7 +147,7 @@ def search(window: Window) -> Walk:
     yield from window.press("ESC")
 
 
-def import_dialog(window: Window, photos: str) -> Walk:
+def import_dialog(window: Window, photos: str) -> RayMarcher:
     """Import Dataset: what the file browser proposes, and what comes of a folder chosen there."""
     yield from begin(window, "artwork")
     yield from window.click("snerg.import_dataset")
@@ -176,7 +176,7 @@ def browser(window: Window) -> object:
     return next((area for area in window.window.screen.areas if area.type == "FILE_BROWSER"), None)
 
 
-def rendering(window: Window) -> Walk:
+def rendering(window: Window) -> RayMarcher:
     """Render views that take seconds each, and see how long the window does not answer."""
     quick(window, 700, 200)
     window.settings.cameras = "ALL"
@@ -191,7 +191,7 @@ def rendering(window: Window) -> Walk:
     yield from window.picture("rendered")
 
 
-def leave(window: Window, photos: str, steps: str) -> Walk:
+def leave(window: Window, photos: str, steps: str) -> RayMarcher:
     """Start a training and quit with Ctrl-Q, in a file that has no unsaved changes."""
     yield from begin(window, "artwork", photos)
     window.settings.steps = int(steps)
@@ -209,7 +209,7 @@ def leave(window: Window, photos: str, steps: str) -> Walk:
     raise AssertionError("Blender did not quit")
 
 
-def come_back(window: Window) -> Walk:
+def come_back(window: Window) -> RayMarcher:
     """Open that file again."""
     yield from window.file("open_mainfile", window.folder / "artwork.blend")
     yield from window.open_sidebar()
@@ -221,7 +221,7 @@ def come_back(window: Window) -> Walk:
     yield from window.picture("ended")
 
 
-def begin(window: Window, name: str, photos: str = "") -> Walk:
+def begin(window: Window, name: str, photos: str = "") -> RayMarcher:
     """A saved file with the sidebar open, which trains on `photos`."""
     yield from window.file("save_as_mainfile", window.folder / f"{name}.blend")
     if photos:

@@ -16,10 +16,10 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.files import folder_bytes
 from snerg.core.nerf.field import Field
-from snerg.core.nerf.model import HashFamily, ViewNetwork, view_residual
+from snerg.core.nerf.model import HashModelConfig, ViewNetwork, view_residual
 from snerg.core.nerf.sampling import Domain
-from snerg.core.rendering.render import march, march_rays
-from snerg.core.scene.voxel_grid import Lattice
+from snerg.core.rendering.render import march_rays, render_scene
+from snerg.core.scene.voxel_grid import VoxelGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +53,9 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
 
 
 def test_lattice_covers_the_box_and_a_voxel_more():
-    lattice = Lattice.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
-    assert lattice.shape == (66, 34, 18)
-    assert np.allclose(lattice.points(np.array([[1, 1, 1]]) - 0.5), 0)
+    voxel_grid = VoxelGrid.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
+    assert voxel_grid.shape == (66, 34, 18)
+    assert np.allclose(voxel_grid.points(np.array([[1, 1, 1]]) - 0.5), 0)
 
 
 @pytest.mark.hard_case(6, 39)
@@ -66,7 +66,7 @@ def test_a_baked_ball_is_the_ball(angles):
     pose = np.eye(4)
     pose[:3, :3] = rotation(angles)
     snerg = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=8))
-    frame = march(snerg, camera_at((0, -3.5, 0.5)))
+    frame = render_scene(snerg, camera_at((0, -3.5, 0.5)))
     origins, directions = camera_at((0, -3.5, 0.5)).rays()
     closest = np.linalg.norm(np.cross(origins, directions), axis=-1).reshape(64, 64)
     assert (frame.alpha[closest < 0.55] > 0.99).all() and (frame.alpha[closest > 0.66] < 0.01).all()
@@ -77,7 +77,7 @@ def test_a_baked_ball_is_the_ball(angles):
 @pytest.mark.hard_case(18, 52)
 def test_fog_keeps_its_optical_depth():
     snerg = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
-    frame = march(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
+    frame = render_scene(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
     assert frame.alpha[4, 4] == pytest.approx(-np.expm1(-0.5 * 1.2), abs=0.02)
 
 
@@ -94,7 +94,7 @@ def test_fog_is_as_thick_at_any_resolution():
     slant = -camera.rays()[1] @ camera.camera_to_world[:3, 2]
     closed = -np.expm1(-1.3 / slant).reshape(8, 8)
     for resolution in (20, 40, 110):
-        frame = march(bake(Fog(), BOX, (), BakeSettings(resolution, samples=8)), camera)
+        frame = render_scene(bake(Fog(), BOX, (), BakeSettings(resolution, samples=8)), camera)
         assert np.abs(frame.alpha - closed)[2:6, 2:6].max() < 0.015, resolution
 
 
@@ -119,7 +119,7 @@ class Given(Field):
 def test_a_block_that_is_not_finite_is_an_error(values, named):
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
     with pytest.raises(SnergError, match=f"{named} that are not finite"):
-        bake(Given(HashFamily(), {}, None, domain, None, 0.01, (), "", {}, None, "diffuse", *values), BOX, (), BakeSettings(64))
+        bake(Given(HashModelConfig(), {}, None, domain, None, 0.01, (), "", {}, None, "diffuse", *values), BOX, (), BakeSettings(64))
 
 
 @pytest.mark.hard_case(50)
@@ -130,12 +130,12 @@ def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
     centre = np.array([2e5, -1e5, 3e5])
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), centre
-    lattice = Lattice.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
+    voxel_grid = VoxelGrid.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
     domain = Domain.around(centre - 2, centre + 2)
-    voxels = np.random.default_rng(0).integers(0, lattice.shape, (1000, 3))
-    found = domain.from_world(lattice.points(voxels))
+    voxels = np.random.default_rng(0).integers(0, voxel_grid.shape, (1000, 3))
+    found = domain.from_world(voxel_grid.points(voxels))
     assert found.dtype == np.float32
-    exact = ((voxels + 0.5 - np.array(lattice.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
+    exact = ((voxels + 0.5 - np.array(voxel_grid.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
     assert np.abs(found - exact).max() < 1e-3 * (2 / 4096) / 2
 
 
@@ -149,7 +149,7 @@ def test_a_sheet_of_one_voxel_is_found_wherever_it_lies():
     for at in np.random.default_rng(0).uniform(-0.9, 0.9, 6):
         snerg = bake(Sheet(radius=at), BOX, (), BakeSettings(60, samples=8))
         eye = (-4, 0, 0) if at < 0 else (4, 0, 0)
-        frame = march(snerg, camera_at(eye, 16))
+        frame = render_scene(snerg, camera_at(eye, 16))
         assert frame.alpha[4:12, 4:12].min() > 0.5
 
 
@@ -160,7 +160,7 @@ def test_what_no_camera_sees_is_left_out():
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
     assert filled[1] < 0.6 * filled[0]  # the inside is gone
     for camera in cameras:
-        assert np.abs(march(whole, camera).over() - march(seen, camera).over()).max() < 3 / 255
+        assert np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over()).max() < 3 / 255
 
 
 @pytest.mark.hard_case(48)
@@ -199,7 +199,7 @@ def test_half_a_voxel_of_solid_stops_half_the_light(optical, samples):
 def test_an_empty_box_is_a_valid_scene_and_says_so():
     snerg = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
     assert len(snerg.cells) == 0 and "holds nothing" in snerg.about["bake"]["warning"]
-    assert not march(snerg, camera_at((3, 0, 0), 8)).alpha.any()
+    assert not render_scene(snerg, camera_at((3, 0, 0), 8)).alpha.any()
 
 
 @pytest.mark.hard_case(36)
@@ -210,7 +210,7 @@ def test_a_floor_on_the_face_of_the_box_survives():
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
     snerg = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, samples=2))
-    assert march(snerg, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
+    assert render_scene(snerg, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
 
 
 def test_cancelled_between_batches():
@@ -228,9 +228,9 @@ def test_view_dependence_in_every_sample_cannot_be_baked(view):
 
 
 def test_holes_are_filled_where_asked_or_facing_forward():
-    assert not bake(Ball(), BOX, (), BakeSettings(16)).fill_holes
-    assert bake(Ball(), BOX, (), BakeSettings(16, fill_holes=True)).fill_holes
-    assert bake(Ball(ndc=Ndc(np.eye(4), (1.0, 1.0), 1.0)), BOX, (), BakeSettings(16)).fill_holes
+    assert not bake(Ball(), BOX, (), BakeSettings(16)).opacity_correction
+    assert bake(Ball(), BOX, (), BakeSettings(16, opacity_correction=True)).opacity_correction
+    assert bake(Ball(ndc=Ndc(np.eye(4), (1.0, 1.0), 1.0)), BOX, (), BakeSettings(16)).opacity_correction
 
 
 def test_a_field_without_features_is_baked():
@@ -297,7 +297,7 @@ def test_what_refining_aims_at():
             return self.hidden
 
     snerg = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
-    frame = march(snerg, camera_at((0, -3.5, 0.5), 16))
+    frame = render_scene(snerg, camera_at((0, -3.5, 0.5), 16))
     mask = np.zeros((16, 16), bool)
     mask[4:9, 5:11] = True
     alpha = frame.alpha[..., None]
@@ -332,8 +332,8 @@ def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
     from snerg.core.baking import memory
 
     def fits(resolution: int) -> None:
-        lattice = Lattice.inside(BOX, 2 / resolution)
-        memory.check_fits(Ball(), BOX, lattice, 8)
+        voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
+        memory.check_fits(Ball(), BOX, voxel_grid, 8)
 
     monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
     with pytest.raises(SnergError, match=r"2000 voxels.*GB.*choose at most (\d+)") as told:
@@ -351,8 +351,11 @@ def test_the_estimate_of_blocks_is_near_what_is_baked():
     from snerg.core.baking.memory import blocks_met, full_points
 
     for resolution in (90, 200):
-        lattice = Lattice.inside(BOX, 2 / resolution)
-        found, baked = blocks_met(full_points(Ball(), BOX), lattice), len(bake(Ball(), BOX, (), BakeSettings(resolution, samples=1)).cells)
+        voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
+        found, baked = (
+            blocks_met(full_points(Ball(), BOX), voxel_grid),
+            len(bake(Ball(), BOX, (), BakeSettings(resolution, samples=1)).cells),
+        )
         assert 0.9 * baked <= found <= 1.4 * baked
 
 
@@ -376,7 +379,7 @@ def test_what_adds_up_is_kept_and_what_does_not_is_told():
     for opacity in (0.0045, 0.0009, 0.00005):  # of a voxel
         snerg = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, samples=1))
         closed = -np.expm1(-opacity * 100)
-        got = march(snerg, camera).alpha[4, 4]
+        got = render_scene(snerg, camera).alpha[4, 4]
         assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else snerg.about["bake"]["opacity_lost_at_most"])
         if opacity < 0.0005:
             assert len(snerg.cells) == 0 and closed <= snerg.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
@@ -458,9 +461,9 @@ def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), (0.1, 0.0, -0.1)
     for resolution in (100, 1500):
-        lattice = Lattice.inside(Box(pose, np.array([1.0, 1.2, 0.9])), 1.2 / resolution)
-        found = may_hold(ball, lattice)
+        voxel_grid = VoxelGrid.inside(Box(pose, np.array([1.0, 1.2, 0.9])), 1.2 / resolution)
+        found = may_hold(ball, voxel_grid)
         points = ((np.argwhere(occupied)[:, None] + draw.random((40, 300, 3))) / 64 - 1).reshape(-1, 3)
-        voxels = (points - lattice.grid_to_world[:3, 3]) @ lattice.grid_to_world[:3, :3] / lattice.voxel_size
-        voxels = voxels[((voxels >= 0) & (voxels < lattice.shape)).all(axis=-1)]
+        voxels = (points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size
+        voxels = voxels[((voxels >= 0) & (voxels < voxel_grid.shape)).all(axis=-1)]
         assert len(voxels) and found[tuple((voxels // 30).astype(int).T)].all() and found.mean() < 0.7

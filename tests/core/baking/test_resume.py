@@ -14,13 +14,13 @@ import pytest
 from scenes import looking, random_network
 from snerg.core.baking import resume as kept_module
 from snerg.core.baking.bake import BakeSettings, bake
-from snerg.core.baking.resume import Kept, each
+from snerg.core.baking.resume import ResumeCache, each
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.files import discard
 from snerg.core.nerf.field import Field
-from snerg.core.nerf.model import HashFamily
+from snerg.core.nerf.model import HashModelConfig
 from snerg.core.nerf.sampling import Domain
 
 BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
@@ -43,7 +43,7 @@ class Asked(Field):
 
 def asked() -> Asked:
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
-    return Asked(HashFamily(), {"table": np.arange(4.0)}, random_network(), domain, None, 0.01)
+    return Asked(HashModelConfig(), {"table": np.arange(4.0)}, random_network(), domain, None, 0.01)
 
 
 def bake_slowly(folder: str) -> None:
@@ -120,7 +120,7 @@ def test_a_long_part_is_not_waited_for():
 
     began = time.monotonic()
     with pytest.raises(Cancelled):
-        list(each("slow", 1, lambda part: time.sleep(2) or {}, Kept(None, ""), stop))
+        list(each("slow", 1, lambda part: time.sleep(2) or {}, ResumeCache(None, ""), stop))
     assert time.monotonic() - began < 1.5
 
 

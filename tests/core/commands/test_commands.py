@@ -30,7 +30,7 @@ from snerg.core.io.files import folder_bytes
 from snerg.core.io.images import over, read_image, to_uint8
 from snerg.core.nerf.checkpoint import read_field, write_field
 from snerg.core.nerf.reference_checkpoint import read_reference_checkpoint, reference_mlp
-from snerg.core.rendering.render import MarchSettings, march
+from snerg.core.rendering.render import MarchSettings, render_scene
 from snerg.core.study.evaluate import Score, evaluate, held_out, open_target
 from snerg.core.training.config import PRESETS
 from snerg.core.training.training_folder import NEW, UNFINISHED, training_folder
@@ -230,7 +230,7 @@ def test_rendering_views(tmp_path, scene, size, shape):
     width, height = shape
     picture = read_image(tmp_path / "out" / result["files"][1])
     assert picture.shape == (height, width, 4)
-    expected = march(read_scene(scene), cameras[1].resized(width, height))
+    expected = render_scene(read_scene(scene), cameras[1].resized(width, height))
     assert np.array_equal(picture, to_uint8(expected.straight()))
     assert np.abs(over(picture) - expected.over()).max() < 2.5 / 255
 
@@ -364,7 +364,7 @@ def test_how_a_scene_is_marched_can_be_chosen(tmp_path, scene, dataset):
     write_transforms(tmp_path / "cameras.json", make_cameras(width=20, height=20)[:1], ["one"])
     for settings in (MarchSettings(), MarchSettings(per_sample_network=True)):
         render_views(scene, tmp_path / "cameras.json", tmp_path / "out", settings=settings)
-        expected = march(read_scene(scene), make_cameras(width=20, height=20)[0], settings)
+        expected = render_scene(read_scene(scene), make_cameras(width=20, height=20)[0], settings)
         assert np.array_equal(read_image(tmp_path / "out" / "one.png"), to_uint8(expected.straight()))
 
 

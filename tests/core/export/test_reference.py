@@ -15,8 +15,8 @@ from snerg.core.export.reference import OURS, read_indices, read_params, read_re
 from snerg.core.geometry.camera import Camera, focal_from_angle
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import read_image
-from snerg.core.rendering.render import march
-from snerg.core.scene.scene import Snerg
+from snerg.core.rendering.render import render_scene
+from snerg.core.scene.scene import Scene
 
 FOV = 35.0
 
@@ -58,7 +58,7 @@ def test_the_published_viewer_shows_what_the_marcher_shows(tmp_path, place, diff
     size, centre = settings["size"], np.array(settings["centre"])
     for eye in ((0.4, -1.6, 0.5), (-1.3, 0.9, -0.6)):
         camera = centred_camera(looking(tuple(centre + np.array(eye) * size), tuple(centre)), 128, 96)
-        ours = march(snerg, camera).over()
+        ours = render_scene(snerg, camera).over()
         theirs = viewer.show(camera_in_viewer(viewer.params, camera.camera_to_world), (128, 96), FOV)
         difference = np.abs(ours - theirs) * 255
         assert ours.std() > 0.1
@@ -88,7 +88,7 @@ def test_forward_facing_scenes_in_the_published_viewer(tmp_path, angles, diffuse
     for eye in ((0.0, 0.0, -0.3), (0.12, -0.05, -0.25)):
         to_viewer = looking(eye, (0, 0, 0))
         to_viewer[:3, :3] = to_viewer[:3, :3] @ rotation((0, 0, np.arctan2(to_viewer[0, 1], to_viewer[1, 1])))  # y up, not z
-        ours = march(snerg, forward_camera(frame, to_viewer)).over()
+        ours = render_scene(snerg, forward_camera(frame, to_viewer)).over()
         assert ours.std() > 0.1
         exact = np.abs(ours - viewer.show(to_viewer, (128, 96), FOV, fault=False)) * 255
         assert exact.mean() < 3 and (exact.max(axis=-1) < 8).mean() > 0.88  # its steps behind empty blocks, as above
@@ -97,10 +97,10 @@ def test_forward_facing_scenes_in_the_published_viewer(tmp_path, angles, diffuse
 
 @pytest.mark.parametrize("diffuse", [False, True])
 def test_forward_facing_round_trip_is_exact(tmp_path, diffuse):
-    snerg = make_snerg((44, 40, 57), diffuse, angles=(0, np.pi / 2, 0), size=1.4, ndc=make_frame(), near=0.2, fill_holes=True)
+    snerg = make_snerg((44, 40, 57), diffuse, angles=(0, np.pi / 2, 0), size=1.4, ndc=make_frame(), near=0.2, opacity_correction=True)
     write_reference(snerg, tmp_path / "out")
     back = read_reference(tmp_path / "out")
-    same(back, Snerg(**(vars(snerg) | {"view_rotation": back.view_rotation})))
+    same(back, Scene(**(vars(snerg) | {"view_rotation": back.view_rotation})))
     assert np.allclose(back.view_rotation, snerg.view_rotation, rtol=0, atol=1e-15)
     assert back.ndc is not None and back.ndc.to_json() == Ndc.from_json(make_frame().to_json()).to_json()
 
@@ -121,7 +121,7 @@ def test_forward_facing_scenes_of_other_tools(tmp_path, published):
     assert back.ndc is not None and back.ndc.near == 1 and np.allclose(back.ndc.focal, frame.focal)
     to_viewer = np.diag([-1.0, 1, -1, 1])
     to_viewer[2, 3] = -0.2
-    there, here = (march(s, forward_camera(s.ndc, to_viewer)).over() for s in (back, snerg))
+    there, here = (render_scene(s, forward_camera(s.ndc, to_viewer)).over() for s in (back, snerg))
     assert np.abs(there - here).max() < 1 / 255
 
 
@@ -148,7 +148,7 @@ def test_any_box_is_shown_the_right_way_up(angles):
     assert axes[2, 1] > 0.9  # the viewer's y is nearly the world's z
 
 
-def same(a: Snerg, b: Snerg) -> None:
+def same(a: Scene, b: Scene) -> None:
     assert np.array_equal(a.grid_to_world, b.grid_to_world) and np.array_equal(a.view_rotation, b.view_rotation)
     assert (a.voxel_size, a.shape, a.near, a.about, a.effects) == (b.voxel_size, b.shape, b.near, b.about, b.effects)
     assert np.array_equal(a.indirection, b.indirection) and np.array_equal(a.cells, b.cells)
@@ -165,7 +165,7 @@ def test_round_trip_is_exact(tmp_path, place, diffuse):
     write_reference(snerg, tmp_path / "out")
     back = read_reference(tmp_path / "out")
     assert np.allclose(back.view_rotation, snerg.view_rotation, rtol=0, atol=1e-15)
-    same(back, Snerg(**(vars(snerg) | {"view_rotation": back.view_rotation})))
+    same(back, Scene(**(vars(snerg) | {"view_rotation": back.view_rotation})))
 
 
 @pytest.mark.hard_case(57)
@@ -178,22 +178,22 @@ def test_an_empty_scene_goes_round(tmp_path):
 
 
 def test_without_our_key_a_scene_stands_where_its_matrix_puts_it(tmp_path):
-    snerg = Snerg(**(vars(make_snerg(centre=(0.5, 0.2, -0.1))) | {"view_rotation": np.eye(3)}))
+    snerg = Scene(**(vars(make_snerg(centre=(0.5, 0.2, -0.1))) | {"view_rotation": np.eye(3)}))
     write_reference(snerg, tmp_path / "out")
     change(tmp_path / "out", lambda params: params.pop(OURS))
     back = read_reference(tmp_path / "out")
     camera = centred_camera(looking((2.6, -3.0, 1.5), (0.5, 0.2, -0.1)), 96, 72)
-    assert np.abs(march(back, camera).over() - march(snerg, camera).over()).mean() < 1e-3
+    assert np.abs(render_scene(back, camera).over() - render_scene(snerg, camera).over()).mean() < 1e-3
 
 
 def test_reorienting_changes_no_picture():
     snerg = make_snerg((31, 30, 47), fog=True)
     camera = centred_camera(looking((2.2, -3.0, 1.9), (0, 0, 0)), 80, 60)
-    picture = march(snerg, camera).over()
+    picture = render_scene(snerg, camera).over()
     for angles in ((0, 0, np.pi / 2), (np.pi / 2, 0, 0), (np.pi, 0, np.pi / 2)):
         turned = reorient(snerg, np.rint(rotation(angles)).astype(int))
         # A flipped axis is longer by its padding, so that rays enter at another phase of the steps; elsewhere they agree.
-        assert np.abs(march(turned, camera).over() - picture).mean() < 0.02
+        assert np.abs(render_scene(turned, camera).over() - picture).mean() < 0.02
         assert (turned.indirection >= 0).sum() == (snerg.indirection >= 0).sum()
 
 
@@ -334,7 +334,7 @@ def test_marcher_reproduces_the_published_viewer_on_a_ball(tmp_path):
         camera_to_world = np.eye(4)
         camera_to_world[:3, :3], camera_to_world[:3, 3] = axes @ pose[:3, :3], axes @ pose[:3, 3] + ball.box.box_to_world[:3, 3]
         theirs = viewer.show(pose, (320, 180), FOV)
-        difference = np.abs(march(back, centred_camera(camera_to_world, 320, 180)).over() - theirs) * 255
+        difference = np.abs(render_scene(back, centred_camera(camera_to_world, 320, 180)).over() - theirs) * 255
         assert difference.mean() < 1
         assert (difference.max(axis=-1) < 4.5).mean() > 0.985
 
@@ -350,7 +350,7 @@ def test_marcher_reproduces_the_published_viewers_pictures(data):
         pose = np.array(view["camera_to_world"])
         fov = view["vertical_fov_degrees"]
         camera = centred_camera(pose, view["width"], view["height"], view["near"], fov)
-        difference = np.abs(march(snerg, camera).over() * 255 - truth)
+        difference = np.abs(render_scene(snerg, camera).over() * 255 - truth)
         assert difference.mean() < 1
         assert (difference.max(axis=-1) <= 4.5).mean() > 0.99
         restated = viewer.show(pose, (view["width"], view["height"]), fov, view["near"])

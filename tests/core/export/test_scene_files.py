@@ -16,11 +16,11 @@ from snerg.core.errors import SnergError
 from snerg.core.export.codecs import SUFFIXES, CodecSettings
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import codec_of, read_scene, write_scene
-from snerg.core.rendering.render import march
-from snerg.core.scene.scene import Snerg
+from snerg.core.rendering.render import render_scene
+from snerg.core.scene.scene import Scene
 
 
-def same(a: Snerg, b: Snerg) -> bool:
+def same(a: Scene, b: Scene) -> bool:
     numbers = (a.voxel_size, a.shape, a.near, a.about, a.effects) == (b.voxel_size, b.shape, b.near, b.about, b.effects)
     arrays = all(np.array_equal(x, y) for x, y in ((a.indirection, b.indirection), (a.cells, b.cells)))
     return numbers and arrays and np.allclose(a.grid_to_world, b.grid_to_world, rtol=0, atol=1e-15)
@@ -114,8 +114,8 @@ def test_empty_stays_empty(tmp_path, name):
         alpha = np.asarray(Image.open(tmp_path / "scene" / "alpha_003.png"))
         assert (pixels[alpha == 0] > 0).any()
     camera = make_cameras(width=60, height=45)[0]
-    clear = march(snerg, camera)
-    assert (march(back, camera).colour[clear.alpha == 0] == 0).all()
+    clear = render_scene(snerg, camera)
+    assert (render_scene(back, camera).colour[clear.alpha == 0] == 0).all()
 
 
 @pytest.mark.parametrize("name", LOSSY)
@@ -233,7 +233,7 @@ def test_damaged_numbers_are_told(tmp_path, stored, change):
         read_scene(folder)
 
 
-def in_floats(snerg: Snerg) -> Snerg:
+def in_floats(snerg: Scene) -> Scene:
     return replace(snerg, cells=snerg.cells.astype(np.float32) / 255)
 
 

@@ -18,7 +18,7 @@ from snerg.core.export.scene_files import read_scene, write_scene
 from snerg.core.nerf.checkpoint import read_field, write_field
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, MlpFamily, init_field
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, init_field
 from snerg.core.nerf.sampling import CELLS, Domain
 from snerg.core.study.plan import Config
 from snerg.core.study.sweep import read_row
@@ -84,7 +84,7 @@ def test_a_scene(scene, tmp_path, named, edit):
     assert len(str(caught.value)) < 1000
 
 
-FAMILIES = {"hash": HashFamily(HashGrid(2, 4, 8, 2, 8), 8), "mlp": MlpFamily(8, 3, 2, 3)}
+FAMILIES = {"hash": HashModelConfig(HashGrid(2, 4, 8, 2, 8), 8), "mlp": MlpModelConfig(8, 3, 2, 3)}
 
 
 def write(folder: Path, family: Any, view: str) -> Field:

@@ -13,13 +13,13 @@ from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.checkpoint import read_field, write_field
 from snerg.core.nerf.field import CHUNK, Field, in_chunks
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, init_field
+from snerg.core.nerf.model import HashModelConfig, init_field
 from snerg.core.nerf.sampling import Domain
 
 
 @pytest.fixture
 def field():
-    family = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
+    family = HashModelConfig(HashGrid(levels=2, coarsest=4, finest=8, log2_size=8), width=8)
     params = init_field(family, "deferred", np.random.default_rng(0))["field"]
     domain = Domain.around(np.array([-1.0, -0.9, -1.0]), np.array([1.0, 0.9, 1.0]))
     return Field(family, params, random_network(), domain, None, 0.01)

@@ -10,8 +10,8 @@ from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import (
     VIEWS,
-    HashFamily,
-    MlpFamily,
+    HashModelConfig,
+    MlpModelConfig,
     ViewNetwork,
     field_inputs,
     field_outputs,
@@ -25,7 +25,7 @@ from snerg.core.nerf.render import render_field
 from snerg.core.nerf.sampling import CELLS, Domain, pack_samples
 from snerg.core.nerf.shading import ray_colour, sample_values, unit
 
-FAMILIES = [HashFamily(HashGrid(levels=2, log2_size=8), width=16), MlpFamily(width=16, depth=3)]
+FAMILIES = [HashModelConfig(HashGrid(levels=2, log2_size=8), width=16), MlpModelConfig(width=16, depth=3)]
 DRAW = np.random.default_rng(0)
 POINTS = DRAW.uniform(-1, 1, (20, 3)).astype(np.float32)
 TOWARDS = unit(DRAW.normal(size=(20, 3))).astype(np.float32)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snerg.core.nerf.model import HashFamily, MlpFamily, bounded_exp, density_of, sigmoid
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, bounded_exp, density_of, sigmoid
 from snerg.core.nerf.volume_rendering import composite, composite_rows, depth_before, mean_distance, opacity, optical_depth
 from snerg.core.training.losses import cauchy, softness
 
@@ -139,7 +139,7 @@ def test_distance_and_disparity_of_nothing_have_a_gradient(inverse):
 
 
 @pytest.mark.hard_case(25)
-@pytest.mark.parametrize("family", [HashFamily(), MlpFamily()], ids=["exponential", "softplus"])
+@pytest.mark.parametrize("family", [HashModelConfig(), MlpModelConfig()], ids=["exponential", "softplus"])
 def test_densities_are_monotone_and_finite(family):
     raw = jnp.linspace(-200, 200, 801)
     density = np.asarray(density_of(jnp, family, raw))

@@ -9,10 +9,10 @@ from oracle import dense_march
 from scenes import make_forward, make_forward_cameras, make_frame
 from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.nerf.field import Field
-from snerg.core.nerf.model import HashFamily
+from snerg.core.nerf.model import HashModelConfig
 from snerg.core.nerf.render import render_field
 from snerg.core.nerf.sampling import Domain
-from snerg.core.rendering.render import MarchSettings, march
+from snerg.core.rendering.render import MarchSettings, render_scene
 
 FRAME = make_frame()
 NAMES = [camera.name for camera in make_forward_cameras(FRAME)]
@@ -24,7 +24,7 @@ NAMES = [camera.name for camera in make_forward_cameras(FRAME)]
 def test_equals_the_dense_march(diffuse, index):
     snerg = make_forward(diffuse)
     camera = make_forward_cameras(FRAME)[index]
-    got, truth = march(snerg, camera), dense_march(snerg, camera)
+    got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
     assert got.alpha.max() > 0.5
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
     assert np.abs(got.over() - truth.over()).max() < 1e-4
@@ -36,23 +36,23 @@ def test_equals_the_dense_march(diffuse, index):
 def test_skipping_changes_nothing():
     snerg = make_forward()
     for camera in make_forward_cameras(FRAME):
-        with_skip, without = march(snerg, camera), march(snerg, camera, MarchSettings(skip=False))
+        with_skip, without = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(skip=False))
         assert np.abs(with_skip.colour - without.colour).max() < 1e-6
 
 
 @pytest.mark.hard_case(9)
 def test_rays_that_look_back_see_nothing():
     camera = make_forward_cameras(FRAME)[5]
-    frame = march(make_forward(), camera)
+    frame = render_scene(make_forward(), camera)
     back = (camera.rays()[1] @ FRAME.camera_to_world[:3, 2] >= 0).reshape(frame.alpha.shape)
     assert 0.1 < back.mean() < 0.9 and not frame.alpha[back].any() and np.isfinite(frame.colour).all()
 
 
 @pytest.mark.hard_case(6)
 def test_far_from_the_origin_and_at_any_size_is_the_same_picture():
-    near = march(make_forward(), make_forward_cameras(FRAME)[1])
+    near = render_scene(make_forward(), make_forward_cameras(FRAME)[1])
     for scale, position in ((1.0, (1e6, -2e6, 1e6)), (1e4, (0.5, -1.0, 2.0))):
-        far = march(make_forward(scale=scale, position=position), make_forward_cameras(make_frame(scale, position))[1])
+        far = render_scene(make_forward(scale=scale, position=position), make_forward_cameras(make_frame(scale, position))[1])
         assert np.abs(near.over() - far.over()).max() < 1 / 255
 
 
@@ -104,7 +104,7 @@ def seen_in_the_world(camera, frame):
 
 @pytest.fixture(scope="module")
 def planes():
-    field = Planes(HashFamily(), {}, None, Domain.around(np.full(3, -1.0), np.full(3, 1.0)), None, 2 / 512, ndc=FRAME)
+    field = Planes(HashModelConfig(), {}, None, Domain.around(np.full(3, -1.0), np.full(3, 1.0)), None, 2 / 512, ndc=FRAME)
     cameras, fine = make_forward_cameras(FRAME)[:2], make_forward_cameras(FRAME, 96, 72)[:2]
     return field, bake(field, field.domain.world_box(), fine, BakeSettings(128, samples=2)), cameras
 
@@ -114,7 +114,7 @@ def planes():
 def test_planes_of_the_world_are_where_they_are(planes, index, kind):
     field, snerg, cameras = planes
     colour, distance, clear = seen_in_the_world(cameras[index], FRAME)
-    got = {"field": lambda c: render_field(field, c), "march": lambda c: march(snerg, c), "oracle": lambda c: dense_march(snerg, c)}
+    got = {"field": lambda c: render_field(field, c), "march": lambda c: render_scene(snerg, c), "oracle": lambda c: dense_march(snerg, c)}
     frame = got[kind](cameras[index])
     assert clear.mean() > 0.3 and (distance[clear] > 4).any() and (distance[clear] < 3).any()
     assert np.abs(frame.over() - colour)[clear].max() < 0.03
@@ -127,14 +127,14 @@ def test_what_no_camera_sees_is_left_out(planes):
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
     assert filled[1] < 0.8 * filled[0]  # behind the front plane, but for its window
     for camera in cameras:
-        difference = np.abs(march(whole, camera).over() - march(seen, camera).over())
+        difference = np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over())
         assert difference[seen_in_the_world(camera, FRAME)[2]].max() < 1e-3
         assert (difference.max(axis=-1) < 3 / 255).mean() > 0.99  # rays two voxels apart miss what shines past an edge
 
 
 def test_near_is_of_the_world(planes):
     _, snerg, cameras = planes
-    frame = march(replace(snerg, near=3 * FRAME.near), cameras[0])
+    frame = render_scene(replace(snerg, near=3 * FRAME.near), cameras[0])
     assert frame.depth[np.isfinite(frame.depth)].min() > 5 * FRAME.near
 
 
@@ -155,13 +155,15 @@ class Veil(Field):
 def test_equation_9_is_taken_where_it_brings_rays_nearer_to_the_field(thickness, density, wanted):
     """A wall a third of a voxel thick lets light through once it is baked; fog lets it through as it should."""
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
-    field = Veil(HashFamily(), {}, None, domain, None, 2 / 512, ndc=FRAME, thickness=thickness, density=density)
+    field = Veil(HashModelConfig(), {}, None, domain, None, 2 / 512, ndc=FRAME, thickness=thickness, density=density)
     box, cameras = field.domain.world_box(), make_forward_cameras(FRAME)[:2]
     snerg = bake(field, box, cameras, BakeSettings(64, samples=8))
     errors = snerg.about["bake"]["holes"]
-    assert snerg.fill_holes is wanted and (errors["with"] < errors["without"]) is wanted
+    assert snerg.opacity_correction is wanted and (errors["with"] < errors["without"]) is wanted
     truth = render_field(field, cameras[0]).over()
-    distance = {fill: np.abs(march(replace(snerg, fill_holes=fill), cameras[0]).over() - truth).mean() for fill in (True, False)}
+    distance = {
+        fill: np.abs(render_scene(replace(snerg, opacity_correction=fill), cameras[0]).over() - truth).mean() for fill in (True, False)
+    }
     assert distance[wanted] < 0.7 * distance[not wanted]
-    assert bake(field, box, (), BakeSettings(64, samples=8)).fill_holes  # without cameras, as in the paper
-    assert bake(field, box, cameras, BakeSettings(64, samples=8, fill_holes=not wanted)).fill_holes is not wanted
+    assert bake(field, box, (), BakeSettings(64, samples=8)).opacity_correction  # without cameras, as in the paper
+    assert bake(field, box, cameras, BakeSettings(64, samples=8, opacity_correction=not wanted)).opacity_correction is not wanted

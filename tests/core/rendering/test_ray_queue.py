@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from snerg.core.rendering.ray_queue import Rays, Supply
+from snerg.core.rendering.ray_queue import RayQueue, Rays
 
 
 def rays(first: int, count: int) -> Rays:
@@ -15,7 +15,7 @@ def rays(first: int, count: int) -> Rays:
 
 
 def test_every_ray_is_given_once_in_parts_that_fit():
-    supply = Supply(lambda some: rays(some.start, some.stop - some.start), [slice(0, 10), slice(10, 13)], 1)
+    supply = RayQueue(lambda some: rays(some.start, some.stop - some.start), [slice(0, 10), slice(10, 13)], 1)
     taken = []
     while (some := supply.take(4, idle=True)) is not None:
         assert len(some.index) <= 4
@@ -24,7 +24,7 @@ def test_every_ray_is_given_once_in_parts_that_fit():
 
 
 def test_what_is_finished_and_taken_is_counted():
-    supply = Supply(lambda some: rays(some.start, 3), [slice(0, 10)], 1)
+    supply = RayQueue(lambda some: rays(some.start, 3), [slice(0, 10)], 1)
     assert supply.take(8, idle=True) is not None
     assert supply.finished == 7, "those that meet nothing are, at once"
     supply.count(3, 40)
@@ -32,7 +32,7 @@ def test_what_is_finished_and_taken_is_counted():
 
 
 def test_rays_are_handed_on_only_to_a_walk_that_is_still_there():
-    supply = Supply(lambda some: rays(some.start, some.stop - some.start), [slice(0, 3)], 2)
+    supply = RayQueue(lambda some: rays(some.start, some.stop - some.start), [slice(0, 3)], 2)
     assert not supply.hand(rays(0, 3)), "there is more to take"
     assert supply.take(8, idle=True) is not None
     assert supply.hand(rays(0, 3))
@@ -50,7 +50,7 @@ def test_an_idle_walk_waits_for_rays_that_another_is_making():
         assert made.wait(10)
         return rays(some.start, some.stop - some.start)
 
-    supply, found = Supply(make, [slice(0, 6)], 2), list[int]()
+    supply, found = RayQueue(make, [slice(0, 6)], 2), list[int]()
 
     def walk() -> None:
         while (some := supply.take(2, idle=True)) is not None:
@@ -74,7 +74,7 @@ def test_rays_that_cannot_be_made_end_the_walk_and_not_the_others():
     def make(_some: slice) -> Rays:
         raise ValueError("no")
 
-    supply = Supply(make, [slice(0, 6)], 2)
+    supply = RayQueue(make, [slice(0, 6)], 2)
     with pytest.raises(ValueError, match="no"):
         supply.take(2, idle=True)
     assert supply.take(2, idle=True) is None

@@ -13,10 +13,10 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.frame import Composited
 from snerg.core.nerf.model import ViewNetwork, view_residual
-from snerg.core.rendering.acceleration import chebyshev, tables_of
+from snerg.core.rendering.acceleration import acceleration_of, chebyshev
 from snerg.core.rendering.early_termination import excess, steepness, stop_for
-from snerg.core.rendering.render import MarchSettings, filled, march, march_rays, progressive, tiled
-from snerg.core.scene.scene import Snerg
+from snerg.core.rendering.render import MarchSettings, filled, march_rays, progressive, render_scene, tiled
+from snerg.core.scene.scene import Scene
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
@@ -36,7 +36,7 @@ def small_cameras(centre=CENTRE):
 def test_equals_the_dense_march(diffuse, index):
     snerg = make_snerg(diffuse=diffuse, angles=ANGLES, centre=CENTRE)
     camera = small_cameras()[index]
-    got, truth = march(snerg, camera), dense_march(snerg, camera)
+    got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
     assert np.abs(got.over() - truth.over()).max() < 1e-4
     seen = got.alpha > 0.01
@@ -61,7 +61,7 @@ def test_equals_the_dense_march_a_thousand_voxels_long(axis):
     ahead, aside = np.roll((-5.6, 0.03, 0.02), axis), np.roll((4.8, 0.6, 0.3), axis)
     for eye, target, focal in ((ahead, (0, 0, 0), 900.0), (aside, np.roll((4.9, 0, 0), axis), 30.0)):
         camera = Camera(20, 16, (focal, focal), (10, 8), looking(tuple(eye), tuple(target)))
-        got, truth = march(snerg, camera), dense_march(snerg, camera)
+        got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
         assert got.alpha.max() > 0.5
         assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
         assert np.abs(got.over() - truth.over()).max() < 1e-4
@@ -82,7 +82,7 @@ def test_composited_values_equal_the_dense_march():
 def test_skipping_changes_nothing():
     snerg = make_snerg(angles=ANGLES, centre=CENTRE)
     for camera in small_cameras():
-        with_skip, without = march(snerg, camera), march(snerg, camera, MarchSettings(skip=False))
+        with_skip, without = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(skip=False))
         assert np.abs(with_skip.colour - without.colour).max() < 1e-6
         assert np.abs(with_skip.alpha - without.alpha).max() < 1e-6
 
@@ -91,10 +91,10 @@ def test_skipping_changes_nothing():
 def test_a_ray_does_not_depend_on_its_batch():
     snerg = make_snerg(angles=ANGLES, centre=CENTRE)
     camera = small_cameras()[0]
-    whole, split = march(snerg, camera), march(snerg, camera, MarchSettings(batch=37, threads=1))
+    whole, split = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(batch=37, threads=1))
     assert np.array_equal(whole.colour, split.colour)
     assert np.array_equal(whole.alpha, split.alpha)
-    handed = march(snerg, camera, MarchSettings(batch=37, threads=3))
+    handed = render_scene(snerg, camera, MarchSettings(batch=37, threads=3))
     assert np.array_equal(whole.colour, handed.colour) and np.array_equal(whole.depth, handed.depth)
 
 
@@ -115,8 +115,8 @@ def test_many_rays_are_what_their_parts_are():
 @pytest.mark.hard_case(6)
 def test_far_from_the_origin_is_the_same_picture():
     far = (1e6, -1e6, 1e6)
-    near_frame = march(make_snerg(angles=ANGLES), small_cameras((0, 0, 0))[1])
-    far_frame = march(make_snerg(angles=ANGLES, centre=far), small_cameras(far)[1])
+    near_frame = render_scene(make_snerg(angles=ANGLES), small_cameras((0, 0, 0))[1])
+    far_frame = render_scene(make_snerg(angles=ANGLES, centre=far), small_cameras(far)[1])
     assert np.abs(near_frame.over() - far_frame.over()).max() < 1 / 255
 
 
@@ -170,7 +170,7 @@ def test_a_camera_at_any_distance_reaches_the_scene(projection):
     for distance in (10.0, 1e9 * snerg.voxel_size):
         focal = 5.0 if projection == "orthographic" else 5.0 * distance
         camera = Camera(12, 12, (focal,) * 2, (6, 6), looking((0, -distance, 0), (0, 0, 0)), projection)
-        frames.append(march(snerg, camera))
+        frames.append(render_scene(snerg, camera))
         seen = frames[-1].alpha > 0.5
         assert seen.any() and np.abs(frames[-1].depth[seen] - distance).max() < 1.5 + 3e-7 * distance
     if projection == "orthographic":
@@ -184,7 +184,7 @@ def test_depth_of_a_wall():
     camera = Camera(
         3, 3, (1e3, 1e3), (1.5, 1.5), np.diag([1.0, -1, -1, 1]) + np.array([[0, 0, 0, 0.3], [0, 0, 0, 0.3], [0, 0, 0, -1], [0] * 4])
     )
-    frame = march(snerg, camera)
+    frame = render_scene(snerg, camera)
     assert frame.alpha[1, 1] == pytest.approx(1, abs=1e-4)
     assert frame.depth[1, 1] == pytest.approx(1.3, abs=0.011)
 
@@ -192,7 +192,7 @@ def test_depth_of_a_wall():
 @pytest.mark.hard_case(57)
 def test_an_empty_scene_is_an_empty_picture():
     snerg = replace(empty_snerg())
-    frame = march(snerg, make_cameras(width=16, height=12)[0])
+    frame = render_scene(snerg, make_cameras(width=16, height=12)[0])
     assert not frame.alpha.any() and not frame.colour.any() and np.isinf(frame.depth).all()
     assert (frame.over() == 1).all()
 
@@ -202,7 +202,7 @@ def test_cells_of_floats_are_marched_as_they_are(diffuse):
     snerg = make_snerg((44, 40, 57), diffuse)
     floats = replace(snerg, cells=(snerg.cells / np.float32(255)).astype(np.float32) ** np.float32(1.3))
     for camera in small_cameras((0, 0, 0))[1:4]:
-        got, truth = march(floats, camera), dense_march(floats, camera)
+        got, truth = render_scene(floats, camera), dense_march(floats, camera)
         assert got.alpha.max() > 0.5 and np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
         assert np.abs(got.over() - truth.over()).max() < 1e-4
 
@@ -211,14 +211,14 @@ def test_the_network_at_every_sample():
     """Table 1's ablation is another picture than the deferred one, and exact too."""
     snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
     for camera in small_cameras()[:4]:
-        got = march(snerg, camera, MarchSettings(per_sample_network=True))
+        got = render_scene(snerg, camera, MarchSettings(per_sample_network=True))
         truth = dense_march(snerg, camera, per_sample_network=True)
         assert np.abs(got.over() - truth.over()).max() < 1e-4
-        assert np.abs(got.over() - march(snerg, camera).over()).max() > 0.005
-        assert np.abs(got.alpha - march(snerg, camera).alpha).max() < 1e-4
+        assert np.abs(got.over() - render_scene(snerg, camera).over()).max() > 0.005
+        assert np.abs(got.alpha - render_scene(snerg, camera).alpha).max() < 1e-4
 
 
-def random_scene(draw: np.random.Generator, diffuse: bool, fill_holes: bool, above: bool) -> Snerg:
+def random_scene(draw: np.random.Generator, diffuse: bool, opacity_correction: bool, above: bool) -> Scene:
     """Fog, clumps and holes; colours above their opacity where asked for."""
     shape = tuple(int(n) for n in draw.integers(20, 50, 3))
     alpha = draw.integers(0, 256, shape) * (draw.random(shape) < draw.choice([0.03, 0.3, 1.0])) * draw.choice([0.1, 1.0])
@@ -231,18 +231,18 @@ def random_scene(draw: np.random.Generator, diffuse: bool, fill_holes: bool, abo
     pose[:3, 3] = -pose[:3, :3] @ (np.array(shape) / 2) / 25
     network = None if diffuse else random_network(int(draw.integers(1000)))
     values = values[..., [0, 1, 2, 7]] if diffuse else values
-    return snerg_from_volume(values, network, grid_to_world=pose, voxel_size=1 / 25, fill_holes=fill_holes)
+    return snerg_from_volume(values, network, grid_to_world=pose, voxel_size=1 / 25, opacity_correction=opacity_correction)
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_no_pixel_is_off_by_more_than_the_tolerance(seed):
     draw = np.random.default_rng(seed)
-    snerg = random_scene(draw, diffuse=seed % 2 == 0, fill_holes=seed % 3 == 0, above=seed % 4 == 1)
+    snerg = random_scene(draw, diffuse=seed % 2 == 0, opacity_correction=seed % 3 == 0, above=seed % 4 == 1)
     camera = make_cameras(size=2.0, width=24, height=18)[seed % 5]
     for per_sample in (False, True):
         truth = dense_march(snerg, camera, per_sample and snerg.network is not None)
         for tolerance in (1e-3, 0.02, 0.2):
-            frame = march(snerg, camera, MarchSettings(tolerance, per_sample_network=per_sample))
+            frame = render_scene(snerg, camera, MarchSettings(tolerance, per_sample_network=per_sample))
             for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.2, 0.9, 0.5)):
                 error = np.abs(np.clip(frame.over(background), 0, 1) - truth.over(background)).max()
                 assert error < tolerance + ROUNDING
@@ -275,8 +275,8 @@ def test_the_first_picture_is_a_small_one_and_the_last_is_whole():
     snerg, camera = make_snerg((34, 30, 40)), small_cameras((0, 0, 0))[1].resized(50, 37)
     told = []
     first, last = progressive(snerg, camera, progress=lambda fraction, what: told.append(fraction))
-    assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, march(snerg, camera.resized(13, 10)).colour)
-    assert np.array_equal(last.colour, march(snerg, camera).colour) and np.array_equal(last.depth, march(snerg, camera).depth)
+    assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, render_scene(snerg, camera.resized(13, 10)).colour)
+    assert np.array_equal(last.colour, render_scene(snerg, camera).colour) and np.array_equal(last.depth, render_scene(snerg, camera).depth)
     assert told == sorted(told) and told[-1] == pytest.approx(1)
 
 
@@ -284,7 +284,7 @@ def test_a_march_stops_when_it_is_told_to():
     """Within a few passes, not after the picture: the threads ask."""
     snerg, camera = make_snerg((34, 30, 40), diffuse=True), small_cameras((0, 0, 0))[0].resized(1000, 1000)
     began = time.perf_counter()
-    march(snerg, camera)
+    render_scene(snerg, camera)
     whole = time.perf_counter() - began
 
     def stop(fraction: float, what: str) -> None:
@@ -292,7 +292,7 @@ def test_a_march_stops_when_it_is_told_to():
 
     began = time.perf_counter()
     with pytest.raises(Cancelled):
-        march(snerg, camera, progress=stop)
+        render_scene(snerg, camera, progress=stop)
     assert time.perf_counter() - began < max(0.6 * whole, 0.2)
 
 
@@ -317,7 +317,7 @@ def test_progress_can_cancel():
         raise Cancelled("Stopped.")
 
     with pytest.raises(Cancelled):
-        march(make_snerg(), small_cameras()[0], progress=stop)
+        render_scene(make_snerg(), small_cameras()[0], progress=stop)
 
 
 def test_chebyshev_distance():
@@ -331,7 +331,7 @@ def test_chebyshev_distance():
 
 def test_visited_voxels_are_the_blocks_own():
     snerg = make_snerg(diffuse=True)
-    visited = np.zeros(len(tables_of(snerg).voxels), bool)
+    visited = np.zeros(len(acceleration_of(snerg).voxels), bool)
     origins, directions = small_cameras((0, 0, 0))[0].rays()
     march_rays(snerg, origins, directions, visited=visited)
     cells = visited.reshape(-1, 32, 32, 32)

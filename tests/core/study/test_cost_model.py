@@ -18,7 +18,7 @@ from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
-from snerg.core.nerf.model import HashFamily, ViewNetwork
+from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
 from snerg.core.training.config import TrainSettings
 
@@ -41,7 +41,7 @@ class Ball:
     view: str = "deferred"
     dataset: str = ""
     params: dict = field(default_factory=dict)
-    family: HashFamily = HashFamily()
+    family: HashModelConfig = HashModelConfig()
     about: dict = field(default_factory=dict)
     domain: Domain = field(default_factory=lambda: Domain.around(np.full(3, -1.0), np.full(3, 1.0)))
 

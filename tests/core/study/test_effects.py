@@ -19,14 +19,14 @@ from snerg.core.export.scene_files import write_scene
 from snerg.core.nerf.checkpoint import write_field
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, ViewNetwork, init_params
+from snerg.core.nerf.model import HashModelConfig, ViewNetwork, init_params
 from snerg.core.nerf.sampling import Domain
-from snerg.core.scene.scene import Snerg
+from snerg.core.scene.scene import Scene
 from snerg.core.study.effects import UNKNOWN, Effect, of_dataset, of_field, of_scene
 from snerg.core.training.decisions import Decision, transparency
-from snerg.core.training.ray_dataset import PixelPool
+from snerg.core.training.ray_dataset import RayDataset
 
-GRID = HashFamily(HashGrid(levels=2, coarsest=4, finest=8, features=2, log2_size=8), width=8)
+GRID = HashModelConfig(HashGrid(levels=2, coarsest=4, finest=8, features=2, log2_size=8), width=8)
 
 
 def by_name(effects: list[Effect]) -> dict[str, Decision]:
@@ -42,7 +42,7 @@ def field(view: str = "deferred", **about: object) -> Field:
     return Field(GRID, params["field"], network, domain, None, 0.01, tuple(ring(4)), "", dict(about), view=view)
 
 
-def baked(snerg: Snerg, seen: int | None = 60, **about: object) -> Snerg:
+def baked(snerg: Scene, seen: int | None = 60, **about: object) -> Scene:
     told = {
         "settings": {"visibility_threshold": 0.01},
         "seconds": {"occupancy": 1.0, "visibility": 2.0, "prefilter": 4.0},
@@ -57,7 +57,7 @@ def baked(snerg: Snerg, seen: int | None = 60, **about: object) -> Snerg:
 def test_a_capture_is_asked_what_training_asks(dataset):
     data = read_dataset(dataset)
     found = by_name(of_dataset(data))
-    pool = PixelPool((data.read(i) for i in range(len(data.views))), data.cameras, Domain.around(np.zeros(3), np.ones(3)))
+    pool = RayDataset((data.read(i) for i in range(len(data.views))), data.cameras, Domain.around(np.zeros(3), np.ones(3)))
     assert found["Alpha"] == transparency("auto", pool.pixels, pool.alpha) and found["Alpha"].chosen
     for name in ("Backdrop", "NDC", "Equation 9", "Distortion", "Several intrinsics"):
         assert found[name].chosen is False, name
@@ -136,7 +136,7 @@ def test_equation_9_is_told_with_what_decided_it():
     found = by_name(of_scene(snerg))["Equation 9"]
     assert found.chosen is True and (found.measured, found.threshold) == (0.02, 0.03) and "0.02000" in found.evidence
     assert by_name(of_scene(make_forward()))["Equation 9"].chosen is True
-    told = by_name(of_scene(replace(make_snerg((31, 30, 33)), fill_holes=True, about={"bake": {"settings": {"fill_holes": True}}})))
+    told = by_name(of_scene(replace(make_snerg((31, 30, 33)), opacity_correction=True, about={"bake": {"settings": {"fill_holes": True}}})))
     assert told["Equation 9"].overridden and by_name(of_scene(make_snerg((31, 30, 33))))["Equation 9"].chosen is False
 
 

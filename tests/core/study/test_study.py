@@ -21,7 +21,7 @@ from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.scene_files import read_scene
 from snerg.core.io.images import over
-from snerg.core.rendering.render import MarchSettings, march
+from snerg.core.rendering.render import MarchSettings, render_scene
 from snerg.core.study.machine import watched
 from snerg.core.study.metrics import psnr
 from snerg.core.study.pareto import Target
@@ -109,7 +109,7 @@ def test_a_target_is_baked_and_has_what_was_measured(studied, field, dataset):
     assert result["psnr"] >= wish and len(read_scene(out / "scene").cells)
     config = next(row for row in rows if row["key"] == result["chosen"])["config"]
     camera = read_dataset(dataset, "test").cameras[0]
-    shown = march(read_scene(out / "scene"), camera, MarchSettings(**config["march"]))
+    shown = render_scene(read_scene(out / "scene"), camera, MarchSettings(**config["march"]))
     assert psnr(shown.over(), over(read_dataset(dataset, "test").read(0))) == pytest.approx(rows_of(rows, result["chosen"]), abs=0.02)
     with pytest.raises(SnergError, match=r"has at least 90 dB.* The closest has [\d.]+ dB"):
         study(field, out, settings=SETTINGS, target=Target(db=90))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from snerg.core.errors import SnergError
-from snerg.core.nerf.model import HashFamily, MlpFamily
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig
 from snerg.core.training.config import PRESETS, TrainSettings
 from snerg.core.training.config_values import setting_names, with_values
 from snerg.core.training.losses import backgrounds, over
@@ -19,15 +19,25 @@ def test_the_paper_is_the_paper():
         assert settings.sampler == "hierarchical" and settings.view_dependence == "deferred"
         assert (settings.rate, settings.final_rate, settings.warm_up, settings.steps) == (2e-3, 2e-5, 2500, 250_000)
         assert (settings.clip_value, settings.clip_norm, settings.sparsity, settings.rays) == (0.01, 0.01, 1e-4, 8192)
-    assert isinstance(paper.family, MlpFamily) and (paper.family.width, paper.family.depth, paper.coarse, paper.fine) == (512, 8, 192, 384)
-    assert isinstance(small.family, MlpFamily) and (small.family.width, small.family.depth, small.coarse, small.fine) == (256, 8, 64, 128)
+    assert isinstance(paper.family, MlpModelConfig) and (paper.family.width, paper.family.depth, paper.coarse, paper.fine) == (
+        512,
+        8,
+        192,
+        384,
+    )
+    assert isinstance(small.family, MlpModelConfig) and (small.family.width, small.family.depth, small.coarse, small.fine) == (
+        256,
+        8,
+        64,
+        128,
+    )
 
 
 def test_values_by_name():
     values = {"family.depth": "3", "family": "mlp", "family.width": " 64 ", "clip_norm": "1e-2", "rays": "1e3", "opaque": "Yes"}
     got = with_values(TrainSettings(), {**values, "sampler": "hierarchical"})
-    assert got.family == MlpFamily(width=64, depth=3) and got.clip_norm == 0.01 and got.rays == 1000 and got.opaque is True
-    assert with_values(got, {"clip_norm": "none", "family": "hash"}) == replace(got, clip_norm=None, family=HashFamily())
+    assert got.family == MlpModelConfig(width=64, depth=3) and got.clip_norm == 0.01 and got.rays == 1000 and got.opaque is True
+    assert with_values(got, {"clip_norm": "none", "family": "hash"}) == replace(got, clip_norm=None, family=HashModelConfig())
     assert with_values(TrainSettings(), {"family.grid.levels": "4"}).family.grid.levels == 4
     timed = with_values(PRESETS["paper"], {"seconds": "60"})
     assert timed.steps is None and timed.seconds == 60

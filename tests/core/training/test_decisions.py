@@ -14,7 +14,7 @@ from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily
+from snerg.core.nerf.model import HashModelConfig
 from snerg.core.nerf.sampling import CELLS, Domain, cell_index
 from snerg.core.training import decisions, view_dependence_test
 from snerg.core.training.config import TrainSettings
@@ -194,7 +194,7 @@ def balls(folder: Path, gloss: float, size: int = 64) -> Path:
 @pytest.mark.slow
 @pytest.mark.parametrize(("gloss", "view"), [(0.0, "diffuse"), (0.5, "deferred")])
 def test_a_matte_scene_trains_a_diffuse_field_and_a_shiny_one_does_not(tmp_path, gloss, view):
-    family = HashFamily(HashGrid(levels=6, coarsest=8, finest=128, features=4, log2_size=15))
+    family = HashModelConfig(HashGrid(levels=6, coarsest=8, finest=128, features=4, log2_size=15))
     settings = TrainSettings(family=family, samples=8192, spacing=2 / 128, seconds=None, steps=1500)
     field = train(read_dataset(balls(tmp_path / "scene", gloss)), settings, tmp_path / "field")
     (decision,) = [d for d in field.about["decisions"] if d["effect"] == view_dependence_test.EFFECT]

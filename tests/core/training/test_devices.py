@@ -20,7 +20,7 @@ from snerg.core.data.load import read_dataset
 from snerg.core.errors import SnergError
 from snerg.core.nerf.checkpoint import is_field
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, MlpFamily
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig
 from snerg.core.training.config import TrainSettings
 from snerg.core.training.devices import MISSING, connect, device_report, own_address
 from snerg.core.training.log import FILE as LOG
@@ -28,14 +28,16 @@ from snerg.core.training.parallel import longest_ray, split_batch
 from snerg.core.training.trainer import Trainer
 
 SETTINGS = TrainSettings(
-    family=HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=12)),
+    family=HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=12)),
     view_dependence="deferred",
     samples=2048,
     spacing=2 / 64,
     seconds=None,
     steps=12,
 )
-HIERARCHICAL = replace(SETTINGS, family=MlpFamily(width=16, depth=2), sampler="hierarchical", rays=64, coarse=8, fine=8, rays_at_once=16)
+HIERARCHICAL = replace(
+    SETTINGS, family=MlpModelConfig(width=16, depth=2), sampler="hierarchical", rays=64, coarse=8, fine=8, rays_at_once=16
+)
 
 CHILD = """
 import hashlib, json, pickle, sys

@@ -12,14 +12,14 @@ from scenes import looking
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, MlpFamily, init_params
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, init_params
 from snerg.core.nerf.sampling import CELLS, Domain
 from snerg.core.training.config import PRESETS, TrainSettings
-from snerg.core.training.hierarchical_sampler import HierarchicalScheme, rays_loss, render_rays, resampled, spread, stratified
+from snerg.core.training.hierarchical_sampler import HierarchicalSampler, rays_loss, render_rays, resampled, spread, stratified
 from snerg.core.training.optimizer import train_step, zero_moments
-from snerg.core.training.ray_dataset import PixelPool
+from snerg.core.training.ray_dataset import RayDataset
 
-HASH = HashFamily(HashGrid(levels=3, coarsest=4, finest=16, features=4, log2_size=11), width=16)
+HASH = HashModelConfig(HashGrid(levels=3, coarsest=4, finest=16, features=4, log2_size=11), width=16)
 SMALL = TrainSettings(
     family=HASH,
     view_dependence="deferred",
@@ -48,18 +48,18 @@ def ball_image(camera: Camera) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def pool() -> PixelPool:
+def pool() -> RayDataset:
     eyes = [(2.4 * np.cos(turn), 2.4 * np.sin(turn), 0.8 * np.sin(2 * turn)) for turn in np.arange(6)]
     cameras = tuple(Camera(24, 24, (30.0, 30.0), (12.0, 12.0), looking(eye, (0, 0, 0))) for eye in eyes)
     domain = Domain.around(np.full(3, -0.8), np.full(3, 0.8))
-    return PixelPool([ball_image(c) for c in cameras], cameras, domain)
+    return RayDataset([ball_image(c) for c in cameras], cameras, domain)
 
 
-def scheme_of(pool: PixelPool, settings: TrainSettings) -> HierarchicalScheme:
-    return HierarchicalScheme(settings, pool, pool.domain, np.ones(CELLS**3, bool), np.random.default_rng(settings.seed))
+def scheme_of(pool: RayDataset, settings: TrainSettings) -> HierarchicalSampler:
+    return HierarchicalSampler(settings, pool, pool.domain, np.ones(CELLS**3, bool), np.random.default_rng(settings.seed))
 
 
-def learned(pool: PixelPool, settings: TrainSettings, steps: int) -> tuple[HierarchicalScheme, dict, list[float]]:
+def learned(pool: RayDataset, settings: TrainSettings, steps: int) -> tuple[HierarchicalSampler, dict, list[float]]:
     scheme = scheme_of(pool, settings)
     params = jax.tree.map(jnp.asarray, init_params(settings.family, settings.view_dependence, settings.hierarchy != "off", scheme.rng))
     moments, errors = zero_moments(params), []
@@ -72,7 +72,7 @@ def learned(pool: PixelPool, settings: TrainSettings, steps: int) -> tuple[Hiera
 
 
 @pytest.mark.parametrize(
-    "family", [pytest.param(HASH, marks=pytest.mark.slow), MlpFamily(width=32, depth=2, degrees=4)], ids=["hash", "mlp"]
+    "family", [pytest.param(HASH, marks=pytest.mark.slow), MlpModelConfig(width=32, depth=2, degrees=4)], ids=["hash", "mlp"]
 )
 @pytest.mark.parametrize("view", ["deferred", "diffuse", "sample", "tiny"])
 def test_every_architecture_learns(pool, family, view):
@@ -90,7 +90,7 @@ def test_options_train_too(pool):
 
 def test_one_network_learns_alone(pool):
     """It sees just what the coarse one of two would."""
-    settings = replace(SMALL, family=MlpFamily(width=32, depth=2, degrees=4), hierarchy="off", rate=5e-3, final_rate=5e-3)
+    settings = replace(SMALL, family=MlpModelConfig(width=32, depth=2, degrees=4), hierarchy="off", rate=5e-3, final_rate=5e-3)
     scheme, params, errors = learned(pool, settings, 30)
     assert np.mean(errors[-5:]) < 0.5 * np.mean(errors[:2]) and "coarse" not in params
     batch = scheme.batch(params, 0.0)
@@ -112,7 +112,7 @@ def test_a_ray_gets_the_same_samples_whatever_its_batch(pool):
 
 
 def test_losses_of_parts_add_up(pool):
-    settings = replace(SMALL, family=MlpFamily(width=8, depth=1, degrees=1), view_dependence="diffuse", alpha=0.1)
+    settings = replace(SMALL, family=MlpModelConfig(width=8, depth=1, degrees=1), view_dependence="diffuse", alpha=0.1)
     scheme = scheme_of(pool, settings)
     params = init_params(settings.family, "diffuse", True, np.random.default_rng(0))
     whole = scheme.batch(params, 0.0).arrays
@@ -175,7 +175,7 @@ def test_distances_increase_strictly(disparity):
 @pytest.mark.hard_case(14)
 def test_disparity_wants_a_nearest_distance(pool):
     inside = Camera(24, 24, (30.0, 30.0), (12.0, 12.0), looking((0.1, 0, 0), (1, 0, 0)))
-    own = PixelPool([ball_image(inside)], [inside], pool.domain)
+    own = RayDataset([ball_image(inside)], [inside], pool.domain)
     with pytest.raises(SnergError, match="distances=linear"):
         scheme_of(own, replace(SMALL, distances="disparity")).batch({}, 0.0)
     batch = scheme_of(own, SMALL).batch({}, 0.0).arrays
@@ -287,7 +287,7 @@ def test_an_opaque_background_is_there_when_asked_for():
 @pytest.mark.hard_case(20, 21, 22)
 def test_of_nothing_at_all_the_loss_has_a_finite_gradient(pool):
     """Density 0 everywhere, as a dead ReLU gives: no opacity, no weights, no gradient to learn from, but no NaN either."""
-    family = MlpFamily(width=8, depth=1, degrees=1, density="relu")
+    family = MlpModelConfig(width=8, depth=1, degrees=1, density="relu")
     settings = replace(SMALL, family=family, alpha=0.1)
     params = init_params(family, "deferred", True, np.random.default_rng(0))
     for field in (params["field"], params["coarse"]["field"]):

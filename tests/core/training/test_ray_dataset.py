@@ -11,7 +11,7 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.geometry.ndc import Ndc, space_rays
 from snerg.core.nerf.sampling import Domain
-from snerg.core.training.ray_dataset import PixelPool
+from snerg.core.training.ray_dataset import RayDataset
 
 DOMAIN = Domain(np.array([0.2, -0.1, 0.3]), 0.7, np.full(3, -1.0), np.full(3, 1.0))
 
@@ -35,7 +35,7 @@ def mixed_cameras() -> tuple[Camera, ...]:
 @pytest.mark.hard_case(2, 3)
 def test_training_rays_are_the_cameras_rays():
     cameras = mixed_cameras()
-    pool = PixelPool(blank(cameras), cameras, DOMAIN)
+    pool = RayDataset(blank(cameras), cameras, DOMAIN)
     assert len(pool.lenses.fisheye) == 3 and not pool.alpha
     origins, directions, near, far, world = pool.rays(np.arange(len(pool.pixels)))
     expected = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
@@ -49,9 +49,9 @@ def test_rays_lose_nothing_far_from_the_origin():
     far = np.array([1e6, -2e6, 3e6])
     here = make_cameras(width=6, height=5)
     there = make_cameras(tuple(far), width=6, height=5)
-    index = np.arange(len(PixelPool(blank(here), here, DOMAIN).pixels))
+    index = np.arange(len(RayDataset(blank(here), here, DOMAIN).pixels))
     moved = Domain(DOMAIN.centre + far, DOMAIN.scale, DOMAIN.low, DOMAIN.high)
-    one, other = (PixelPool(blank(c), c, d).rays(index) for c, d in ((here, DOMAIN), (there, moved)))
+    one, other = (RayDataset(blank(c), c, d).rays(index) for c, d in ((here, DOMAIN), (there, moved)))
     assert np.abs(one[0] - other[0]).max() < 1e-8 and np.abs(one[1] - other[1]).max() < 1e-8
 
 
@@ -59,7 +59,7 @@ def test_rays_lose_nothing_far_from_the_origin():
 def test_rays_in_device_coordinates():
     cameras = mixed_cameras()
     ndc = Ndc(looking((0, -4, 0), (0, 0, 0)), (1.0, 1.2), 1.0)
-    pool = PixelPool(blank(cameras), cameras, DOMAIN, ndc=ndc)
+    pool = RayDataset(blank(cameras), cameras, DOMAIN, ndc=ndc)
     origins, directions, near, far, world = pool.rays(np.arange(len(pool.pixels)))
     rays = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
     expected = space_rays(ndc, *rays, np.concatenate([np.full(c.width * c.height, c.near) for c in cameras]))
@@ -73,11 +73,11 @@ def test_alpha_counts_only_where_it_varies():
     images = blank(cameras, 4)
     for image in images:
         image[..., 3] = 255
-    assert not PixelPool(images, cameras, DOMAIN).alpha
+    assert not RayDataset(images, cameras, DOMAIN).alpha
     images[2][1, 1, 3] = 254
-    pool = PixelPool(iter(images), cameras, DOMAIN)
+    pool = RayDataset(iter(images), cameras, DOMAIN)
     assert pool.alpha and pool.pixels[:, 3].min() == 254
-    assert not PixelPool([images[0][..., :3], *images[1:]], cameras, DOMAIN).alpha
+    assert not RayDataset([images[0][..., :3], *images[1:]], cameras, DOMAIN).alpha
 
 
 def test_masked_and_withheld_pixels_are_never_drawn():
@@ -87,7 +87,7 @@ def test_masked_and_withheld_pixels_are_never_drawn():
     masks[1][3, 4] = True
     for image, mask in zip(images, masks, strict=True):
         image[...] = 200 if mask is None else np.where(mask, 100, 0)[..., None]
-    pool = PixelPool(images, cameras, DOMAIN, masks)
+    pool = RayDataset(images, cameras, DOMAIN, masks)
     drawn = pool.draw(20000, np.random.default_rng(0))
     assert drawn.dtype == np.int64 and set(pool.pixels[drawn, 0]) == {100, 200}
     pool.withheld[:] = [True, False, False]
@@ -97,14 +97,14 @@ def test_masked_and_withheld_pixels_are_never_drawn():
     with pytest.raises(SnergError, match="held out"):
         pool.draw(3, np.random.default_rng(0))
     with pytest.raises(SnergError, match="masks"):
-        PixelPool(images, cameras, DOMAIN, [np.zeros((9, 12), bool)] * 3)
+        RayDataset(images, cameras, DOMAIN, [np.zeros((9, 12), bool)] * 3)
 
 
 def test_empty_surroundings_are_passed_over():
     cameras = make_cameras(width=120, height=90)[:2]
     images = blank(cameras, 4)
     images[0][40:50, 60:70] = 255
-    pool = PixelPool(images, cameras, DOMAIN)
+    pool = RayDataset(images, cameras, DOMAIN)
     pool.keep_near([i[..., 3] > 0 for i in images], [None, None])
     drawn = pool.draw(5000, np.random.default_rng(0))
     row, column = np.divmod(drawn, 120)

@@ -5,16 +5,16 @@ import pytest
 
 from scenes import make_cameras
 from snerg.core.nerf.sampling import CELLS, Domain, pack_samples
-from snerg.core.training.ray_dataset import PixelPool
+from snerg.core.training.ray_dataset import RayDataset
 from snerg.core.training.termination_depth import RayEnds
 
 DOMAIN = Domain(np.zeros(3), 1.0, -np.ones(3), np.ones(3))
 
 
 @pytest.fixture
-def pool() -> PixelPool:
+def pool() -> RayDataset:
     cameras = make_cameras(width=10, height=7)[:3]
-    return PixelPool([np.zeros((7, 10, 3), np.uint8) for _ in cameras], cameras, DOMAIN)
+    return RayDataset([np.zeros((7, 10, 3), np.uint8) for _ in cameras], cameras, DOMAIN)
 
 
 def test_every_pixel_has_a_tile_and_neighbours_share_one(pool, monkeypatch):

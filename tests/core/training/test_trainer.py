@@ -22,7 +22,7 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.checkpoint import read_field, read_field_and_state, write_field
 from snerg.core.nerf.hash_grid import HashGrid
-from snerg.core.nerf.model import HashFamily, MlpFamily, ViewNetwork, init_field
+from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, ViewNetwork, init_field
 from snerg.core.nerf.render import render_field
 from snerg.core.nerf.sampling import Domain, hull
 from snerg.core.study.metrics import psnr
@@ -36,7 +36,7 @@ from snerg.core.training.trainer import Trainer, decibels, train
 from snerg.core.training.validation import Rays
 from snerg.core.training.weight_average import EVERY
 
-FAMILY = HashFamily(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
+FAMILY = HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
 SETTINGS = TrainSettings(family=FAMILY, samples=4096, spacing=2 / 96, seconds=None, steps=40)
 
 
@@ -170,14 +170,14 @@ def test_no_initialisation_is_dead():
     from snerg.core.nerf.model import field_inputs, field_outputs
 
     x = np.random.default_rng(0).uniform(-1, 1, (64, 3)).astype(np.float32)
-    for family in (HashFamily(HashGrid(levels=2, log2_size=8)), MlpFamily(width=16, depth=4)):
+    for family in (HashModelConfig(HashGrid(levels=2, log2_size=8)), MlpModelConfig(width=16, depth=4)):
         for seed in range(200):
             params = init_field(family, "diffuse", np.random.default_rng(seed))
             density, _ = field_outputs(np, family, params["field"], field_inputs(np, family, x))
             assert density.max() > 1e-3
 
 
-@pytest.mark.parametrize("family", [FAMILY, MlpFamily(width=32, depth=3)])
+@pytest.mark.parametrize("family", [FAMILY, MlpModelConfig(width=32, depth=3)])
 @pytest.mark.parametrize("view_dependence", ["auto", "deferred", "diffuse", "sample", "tiny"])
 def test_every_family_takes_a_step(views, family, view_dependence):
     trainer = Trainer(views, replace(SETTINGS, family=family, view_dependence=view_dependence, steps=3))

@@ -7,32 +7,37 @@ import pytest
 
 from scenes import looking
 from snerg.core.geometry.camera import Camera
-from snerg.core.nerf.model import MlpFamily, init_params
+from snerg.core.nerf.model import MlpModelConfig, init_params
 from snerg.core.nerf.sampling import CELLS, Domain
 from snerg.core.training.config import TrainSettings
-from snerg.core.training.hierarchical_sampler import HierarchicalScheme
-from snerg.core.training.occupancy_sampler import PackedScheme
-from snerg.core.training.ray_dataset import PixelPool
+from snerg.core.training.hierarchical_sampler import HierarchicalSampler
+from snerg.core.training.occupancy_sampler import OccupancySampler
+from snerg.core.training.ray_dataset import RayDataset
 from snerg.core.training.validation import Rays
 
 SETTINGS = TrainSettings(
-    family=MlpFamily(width=8, depth=1, degrees=1, density="relu"), view_dependence="diffuse", samples=512, coarse=4, fine=4, rays_at_once=64
+    family=MlpModelConfig(width=8, depth=1, degrees=1, density="relu"),
+    view_dependence="diffuse",
+    samples=512,
+    coarse=4,
+    fine=4,
+    rays_at_once=64,
 )
 SHOWN = {"white": (1, 1, 1), "black": (0, 0, 0), "#204060": (0x20 / 255, 0x40 / 255, 0x60 / 255), "random": (1, 1, 1)}
 
 
-def pool_of(alpha: int) -> PixelPool:
+def pool_of(alpha: int) -> RayDataset:
     camera = Camera(16, 16, (20.0, 20.0), (8.0, 8.0), looking((2.4, 0, 0.8), (0, 0, 0)))
     image = np.full((16, 16, 4), (200, 100, 50, alpha), np.uint8)
-    return PixelPool([image], [camera], Domain.around(np.full(3, -0.8), np.full(3, 0.8)))
+    return RayDataset([image], [camera], Domain.around(np.full(3, -0.8), np.full(3, 0.8)))
 
 
 @pytest.mark.hard_case(8)
 @pytest.mark.parametrize("name", SHOWN)
-@pytest.mark.parametrize("sampler", [PackedScheme, HierarchicalScheme])
+@pytest.mark.parametrize("sampler", [OccupancySampler, HierarchicalSampler])
 def test_rays_are_scored_over_the_background_of_the_training(name, sampler):
     """Where the field is empty it shows the background, and a picture's transparent part is that too."""
-    kind = "packed" if sampler is PackedScheme else "hierarchical"
+    kind = "packed" if sampler is OccupancySampler else "hierarchical"
     settings, pool = replace(SETTINGS, background=name, sampler=kind), pool_of(51)
     rays = Rays(pool, None, 100, settings)
     assert np.abs(rays.wanted - (0.2 * np.array([200, 100, 50]) / 255 + 0.8 * np.array(SHOWN[name]))).max() < 1e-6
