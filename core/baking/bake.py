@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -178,7 +179,7 @@ def check_field(field: Field) -> None:
             raise SnergError(f"The field's {name} holds values that are not finite; train it again, or import an undamaged checkpoint.")
 
 
-def arrays_of(field: Field) -> dict[str, np.ndarray]:
+def arrays_of(field: Field) -> dict[str, NDArray[Any]]:
     """Everything that a field has learnt, by name."""
     network = {} if field.network is None else {f"view.{name}": np.asarray(array) for name, array in field.network._asdict().items()}
     return flatten(field.params) | network

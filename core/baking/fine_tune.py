@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
 from ..errors import SnergError
@@ -48,10 +49,10 @@ class Gathered:
     them, the first, are not fitted to but judged by: whole views, because a network may learn by heart what the others show.
     """
 
-    colour: np.ndarray
-    features: np.ndarray
-    directions: np.ndarray
-    wanted: np.ndarray
+    colour: NDArray[Any]
+    features: NDArray[Any]
+    directions: NDArray[Any]
+    wanted: NDArray[Any]
     held: int
 
 

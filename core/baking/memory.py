@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -50,7 +52,7 @@ def bytes_needed(blocks: int, voxel_bytes: int) -> int:
     return WORKING + int(blocks * CELL_VOXELS**3 * voxel_bytes * BESIDE)
 
 
-def full_points(field: Field, box: Box) -> tuple[np.ndarray, float]:
+def full_points(field: Field, box: Box) -> tuple[NDArray[Any], float]:
     """Centres [N, 3] of the voxels of a coarse lattice in the box where the field holds something, and their size."""
     voxel_grid = VoxelGrid.inside(box, float(box.size.max()) / (LOOK if field.occupancy is not None else LOOK // 2))
     found = []
@@ -64,7 +66,7 @@ def full_points(field: Field, box: Box) -> tuple[np.ndarray, float]:
     return np.concatenate(found) if found else np.zeros((0, 3)), voxel_grid.voxel_size
 
 
-def blocks_met(full: tuple[np.ndarray, float], voxel_grid: VoxelGrid) -> int:
+def blocks_met(full: tuple[NDArray[Any], float], voxel_grid: VoxelGrid) -> int:
     """How many blocks of a lattice the cubes round points [N, 3] meet, about: as if they stood along its axes."""
     points, size = full
     middle = (points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size

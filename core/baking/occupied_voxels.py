@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..nerf.field import Field
 from ..nerf.volume_rendering import optical_depth
@@ -27,9 +29,9 @@ class OccupiedVoxels:
     lost: the opacity that a ray along an axis may lose at most to what is left out.
     """
 
-    indirection: np.ndarray
-    bits: np.ndarray
-    coarse: np.ndarray
+    indirection: NDArray[Any]
+    bits: NDArray[Any]
+    coarse: NDArray[Any]
     lost: float
 
 
@@ -66,11 +68,11 @@ def find_occupied_voxels(
     return OccupiedVoxels(number(mask), bits, coarse, -float(np.expm1(-along)))
 
 
-def _joined(found: dict[int, Arrays], name: str, empty: np.ndarray) -> np.ndarray:
+def _joined(found: dict[int, Arrays], name: str, empty: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([empty, *(found[slab][name] for slab in sorted(found))])
 
 
-def may_hold(field: Field, voxel_grid: VoxelGrid) -> np.ndarray:
+def may_hold(field: Field, voxel_grid: VoxelGrid) -> NDArray[Any]:
     """bool [bx, by, bz]: blocks that meet an occupied cell of the field's own grid, or all where it has none."""
     if field.occupancy is None:
         return np.ones(voxel_grid.blocks, bool)
@@ -84,7 +86,7 @@ def may_hold(field: Field, voxel_grid: VoxelGrid) -> np.ndarray:
     return covered(first, last, voxel_grid.blocks)
 
 
-def depth_at(field: Field, voxel_grid: VoxelGrid, places: np.ndarray) -> np.ndarray:
+def depth_at(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any]) -> NDArray[Any]:
     """Optical depth float32 [B, 30, 30, 30] of one voxel's length at the voxels' centres of blocks at places [B, 3]."""
     depth = np.zeros((len(places), DATA_VOXELS**3), np.float32)
     held, points = [], []
@@ -102,7 +104,7 @@ def depth_at(field: Field, voxel_grid: VoxelGrid, places: np.ndarray) -> np.ndar
     return blocks
 
 
-def judge(depth: np.ndarray, least: float) -> Arrays:
+def judge(depth: NDArray[Any], least: float) -> Arrays:
     """What is kept of blocks [B, 30, 30, 30] by optical depth, where `least` must add up along a row of one.
 
     "full" bool [B]: which are; of those "bits" and "coarse" (see OccupiedVoxels). "lost" [B, 3]: depth left out of all of them, at most,
@@ -116,12 +118,12 @@ def judge(depth: np.ndarray, least: float) -> Arrays:
     return {"full": full, "lost": lost, "bits": pack(mask[full]), "coarse": halve(np.where(mask, depth, 0)[full])}
 
 
-def longest(depth: np.ndarray) -> np.ndarray:
+def longest(depth: NDArray[Any]) -> NDArray[Any]:
     """The largest sum along a row of voxels in each direction, [B, 3], of blocks [B, 30, 30, 30]."""
     return np.stack([depth.sum(axis=axis).max(axis=(1, 2)) for axis in (1, 2, 3)], axis=-1)
 
 
-def halve(depth: np.ndarray) -> np.ndarray:
+def halve(depth: NDArray[Any]) -> NDArray[Any]:
     """Optical depth [B, 30, 30, 30] of a voxel's length to `OccupiedVoxels.coarse`: never more than light would be stopped on average."""
     through = np.exp(-depth)
     for axis in (1, 2, 3):

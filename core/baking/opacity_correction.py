@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays
@@ -27,7 +29,7 @@ def hole_errors(field: Field, snerg: Scene, cameras: Sequence[Camera], seed: int
     trained to let its background shine through, it takes away what belongs there. tell: called with the fraction done.
     """
     rng = np.random.default_rng(seed)
-    values: dict[str, list[np.ndarray]] = {"field": [], "with": [], "without": []}
+    values: dict[str, list[NDArray[Any]]] = {"field": [], "with": [], "without": []}
     some = cameras[:: -(-len(cameras) // CAMERAS)]
     for index, camera in enumerate(some):
         tell(index / len(some))
@@ -41,7 +43,7 @@ def hole_errors(field: Field, snerg: Scene, cameras: Sequence[Camera], seed: int
     return {name: round(float(np.sqrt(np.mean((np.concatenate(parts) - truth) ** 2))), 5) for name, parts in values.items()}
 
 
-def field_rays(field: Field, snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float) -> Composited:
+def field_rays(field: Field, snerg: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float) -> Composited:
     """What rays of the world [N, 3] gather of a field inside a scene's grid."""
     *_, start, stop = enter(snerg, origins, directions, near)
     o, d, *_ = space_rays(snerg.ndc, origins, directions, near)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..nerf.field import Field
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, counts, fill_aprons, number, pack, places_of, reach, renumbered, unpack
@@ -21,15 +23,15 @@ VOXELS = 2**16  # of a slab, about
 def fill(
     field: Field,
     voxel_grid: VoxelGrid,
-    bits: np.ndarray,
-    indirection: np.ndarray,
+    bits: NDArray[Any],
+    indirection: NDArray[Any],
     channels: int,
     samples: int,
     seed: int,
     quantised: bool,
     kept: ResumeCache,
     tell: Callable[[float], None],
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Bake the voxels of a mask [M, 30, 30] into cells [R, 32, 32, 32, C] and their own indirection grid.
 
     channels: C. quantised: uint8, else float32. A cell is kept when anything in its 32^3 is not 0; one with nothing is dropped.
@@ -65,14 +67,14 @@ def fill(
     return cells, kept_blocks
 
 
-def cut(sizes: np.ndarray) -> list[slice]:
+def cut(sizes: NDArray[Any]) -> list[slice]:
     """Runs of blocks of about VOXELS voxels each, from how many each block has [M]."""
     group = (np.cumsum(sizes) - 1) // VOXELS
     edges = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(sizes)]
     return [slice(first, end) for first, end in pairwise(edges) if end > first]
 
 
-def gathered(cells: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def gathered(cells: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
     """Cells of rising numbers `rows`, moved to the front in place: an atlas is too large to copy."""
     for to, row in enumerate(rows.tolist()):
         if to != row:

@@ -9,14 +9,16 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.files import MARK, check_replaceable, discard, write_arrays, write_bytes
 from ..io.guard import read_arrays, reading
 
-Arrays = dict[str, np.ndarray]
+Arrays = dict[str, NDArray[Any]]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
 MAX_BYTES = 2**33
 SAVE_EVERY = 5.0  # seconds of work that a kill may cost

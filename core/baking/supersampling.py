@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..nerf.field import Field
 from ..nerf.volume_rendering import opacity, optical_depth
@@ -21,7 +22,7 @@ BLOCKS = 64  # from which the rays are drawn
 
 
 def choose_samples(
-    field: Field, voxel_grid: VoxelGrid, bits: np.ndarray, indirection: np.ndarray, seed: int
+    field: Field, voxel_grid: VoxelGrid, bits: NDArray[Any], indirection: NDArray[Any], seed: int
 ) -> tuple[int, list[dict[str, Any]]]:
     """The least of 1, 2, 4, 8 and 16 samples that doubling does not make better by GAIN, and what was measured.
 
@@ -40,7 +41,9 @@ def choose_samples(
     return worth(field, voxel_grid, start, rng, seed)
 
 
-def worth(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, rng: np.random.Generator, seed: int) -> tuple[int, list[dict[str, Any]]]:
+def worth(
+    field: Field, voxel_grid: VoxelGrid, start: NDArray[Any], rng: np.random.Generator, seed: int
+) -> tuple[int, list[dict[str, Any]]]:
     """`choose_samples` by rays that start at voxels [N, 3] of the lattice."""
     direction = rng.normal(size=start.shape)
     direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -56,13 +59,13 @@ def worth(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, rng: np.random
 
 
 def _error(
-    field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray, samples: int, seed: int, truth: np.ndarray
+    field: Field, voxel_grid: VoxelGrid, start: NDArray[Any], direction: NDArray[Any], samples: int, seed: int, truth: NDArray[Any]
 ) -> float:
     baked = composited(*baked_along(field, voxel_grid, start, direction, samples, seed))
     return round(float(np.sqrt(np.mean((baked - truth) ** 2))), 6)
 
 
-def field_along(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def field_along(field: Field, voxel_grid: VoxelGrid, start: NDArray[Any], direction: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Premultiplied RGB [N, K, 3] and opacity [N, K] of the field along rays in voxel coordinates, FINER to a voxel."""
     along = (np.arange(LENGTH * FINER) + 0.5) / FINER
     points = start[:, None] + direction[:, None] * along[:, None]
@@ -72,8 +75,8 @@ def field_along(field: Field, voxel_grid: VoxelGrid, start: np.ndarray, directio
 
 
 def baked_along(
-    field: Field, voxel_grid: VoxelGrid, start: np.ndarray, direction: np.ndarray, samples: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
+    field: Field, voxel_grid: VoxelGrid, start: NDArray[Any], direction: NDArray[Any], samples: int, seed: int
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """The same from voxels baked with so many samples, interpolated as the marcher does, one to a voxel."""
     points = (start[:, None] + direction[:, None] * (np.arange(LENGTH) + 0.5)[:, None]).reshape(-1, 3)
     corner = np.floor(points).astype(np.int64)
@@ -86,14 +89,14 @@ def baked_along(
     return values[:, :3].reshape(len(start), LENGTH, 3), values[:, 3].reshape(len(start), LENGTH)
 
 
-def composited(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+def composited(colour: NDArray[Any], alpha: NDArray[Any]) -> NDArray[Any]:
     """Premultiplied RGB and transmittance [N, 4] of rays, front to back, from [N, K, 3] and [N, K] (eqs. 5, 6)."""
     through = np.cumprod(1 - alpha, axis=-1)
     before = np.concatenate([np.ones_like(through[:, :1]), through[:, :-1]], axis=-1)
     return np.concatenate([(before[..., None] * colour).sum(axis=1), through[:, -1:]], axis=-1)
 
 
-def average(field: Field, voxel_grid: VoxelGrid, voxels: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def average(field: Field, voxel_grid: VoxelGrid, voxels: NDArray[Any], samples: int, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """Premultiplied RGB and features [N, C], and opacity [N], averaged over each voxel's own jitter, at voxel indices [N, 3].
 
     Offsets come in pairs of opposite signs, so that no voxel's content moves (hard case 48); an odd one is the centre.

@@ -13,6 +13,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..geometry.ndc import Ndc
@@ -58,7 +59,7 @@ def visible_voxels(
     threshold: float,
     kept: ResumeCache,
     progress: Progress,
-) -> tuple[np.ndarray, Light]:
+) -> tuple[NDArray[Any], Light]:
     """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them; and what
     became of the light of all rays."""
     scene = opacity_scene(matter, voxel_grid.halved(), ndc)
@@ -101,7 +102,7 @@ def opacity_scene(matter: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: Ndc | None
     return Scene(voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, None, ndc=ndc)
 
 
-def refined(bits: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
+def refined(bits: NDArray[Any], coarse: NDArray[Any], fine: NDArray[Any]) -> NDArray[Any]:
     """A mask of coarse voxels [Mc, 30, 30] as one of the voxels twice as fine [M, 30, 30]; coarse, fine: their indirection grids."""
     places = places_of(fine)
     result = np.zeros((len(places), DATA_VOXELS, DATA_VOXELS), np.uint32)
@@ -114,7 +115,7 @@ def refined(bits: np.ndarray, coarse: np.ndarray, fine: np.ndarray) -> np.ndarra
     return result
 
 
-def octants(places: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
+def octants(places: NDArray[Any]) -> list[tuple[tuple[int, ...], NDArray[Any]]]:
     """Each octant (0 or 1 an axis) of a block of coarse voxels, and which blocks at places [M, 3] of fine ones fill it."""
     return [(octant, np.flatnonzero((places % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
 

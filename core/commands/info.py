@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
 
 from ..artifact import Result, any_field, kind_of
 from ..data.load import read_dataset
@@ -69,7 +70,7 @@ def _dataset_info(path: Path) -> Result:
     }
 
 
-def has_alpha(image: np.ndarray) -> bool:
+def has_alpha(image: NDArray[Any]) -> bool:
     """Whether a picture [H, W, 3 or 4] uint8 is transparent anywhere."""
     return image.shape[-1] == 4 and bool((image[..., 3] < 255).any())
 

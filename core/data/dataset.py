@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -63,10 +65,10 @@ class Dataset:
     split: str
     views: tuple[View, ...]
     box: Box | None = None
-    points: np.ndarray | None = None
-    colours: np.ndarray | None = None
-    bounds: np.ndarray | None = None
-    source_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
+    points: NDArray[Any] | None = None
+    colours: NDArray[Any] | None = None
+    bounds: NDArray[Any] | None = None
+    source_to_world: NDArray[Any] = field(default_factory=lambda: np.eye(4))
     options: DatasetOptions = DatasetOptions()
     kind: str = "transforms"
     split_names: tuple[str, ...] = ()
@@ -77,7 +79,7 @@ class Dataset:
         """The views' cameras, in order."""
         return tuple(view.camera for view in self.views)
 
-    def read(self, index: int) -> np.ndarray:
+    def read(self, index: int) -> NDArray[Any]:
         """View `index` as uint8 [H, W, 3 or 4], sRGB, straight alpha. Raises SnergError when it cannot be read any more."""
         view = self.views[index]
         pixels = reduced(read_image(view.image), view.factor)
@@ -85,7 +87,7 @@ class Dataset:
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels
 
-    def mask(self, index: int) -> np.ndarray | None:
+    def mask(self, index: int) -> NDArray[Any] | None:
         """Which pixels of view `index` to learn from, bool [H, W], or None for all: what its mask leaves, as far as the lens's
         model holds. Raises SnergError when the mask cannot be read."""
         view = self.views[index]
@@ -122,15 +124,15 @@ class Source:
     names: tuple[str, ...] = ()
     box: Box | None = None
     photographs: bool = False
-    points: np.ndarray | None = None
-    colours: np.ndarray | None = None
-    bounds: np.ndarray | None = None
+    points: NDArray[Any] | None = None
+    colours: NDArray[Any] | None = None
+    bounds: NDArray[Any] | None = None
     half: float | None = None
     factor: int = 1
     passed_over: int = 0
 
 
-def focus(cameras: tuple[Camera, ...]) -> tuple[np.ndarray, bool]:
+def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:
     """The point [3] nearest to all optical axes in the least-squares sense, and whether there is one: cameras that all look the
     same way have none, and it lies in front of them, as far away as twice their spread."""
     positions = np.stack([c.position for c in cameras])

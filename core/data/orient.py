@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -20,7 +22,7 @@ FORWARD = 0.9  # length of the mean of unit view directions above which cameras 
 AGREE = 0.5  # length of the mean of unit up directions below which they say nothing
 
 
-def orient(source: Source) -> tuple[Source, np.ndarray]:
+def orient(source: Source) -> tuple[Source, NDArray[Any]]:
     """The source in a world whose z is up and whose origin is what the cameras look at, with a box, and the similarity
     [4, 4] that maps the old world to it.
 
@@ -48,7 +50,7 @@ def orient(source: Source) -> tuple[Source, np.ndarray]:
     return replace(moved, box=box_of(moved, similarity[:3, 3], scale)), similarity
 
 
-def upward(cameras: Sequence[Camera]) -> np.ndarray:
+def upward(cameras: Sequence[Camera]) -> NDArray[Any]:
     """Where up is, unit [3].
 
     People hold cameras level: up is what all pictures' horizontals are square to, on the side of the pictures' own mean up.
@@ -74,7 +76,7 @@ def upward(cameras: Sequence[Camera]) -> np.ndarray:
     return up if up @ mean > 0.6 else mean
 
 
-def upright(up: np.ndarray, axes: np.ndarray) -> np.ndarray:
+def upright(up: NDArray[Any], axes: NDArray[Any]) -> NDArray[Any]:
     """[3, 3] rotation that takes `up` to z, and the mean of the view directions `axes` [N, 3] to +y as far as it is level."""
     level = axes - np.outer(axes @ up, up)
     mean = level.mean(axis=0)
@@ -86,7 +88,7 @@ def upright(up: np.ndarray, axes: np.ndarray) -> np.ndarray:
     return np.stack([np.cross(ahead, up), ahead, up])
 
 
-def looked_at(cameras: tuple[Camera, ...], points: np.ndarray | None, bounds: np.ndarray | None) -> np.ndarray:
+def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: NDArray[Any] | None) -> NDArray[Any]:
     """The point [3] that the capture is about: where the axes meet, or for cameras that look the same way, in front of them in
     the depth that most of the points have, or that halves the range of disparity."""
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
@@ -104,7 +106,7 @@ def looked_at(cameras: tuple[Camera, ...], points: np.ndarray | None, bounds: np
     return position + mean * (2 / (1 / near + 1 / far))
 
 
-def box_of(source: Source, origin: np.ndarray, scale: float) -> Box:
+def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
     """The box of what must be explained, world axes.
 
     From the cube that instant-ngp was told of, else from the points without outliers, else from the views between their nearest
@@ -127,7 +129,7 @@ def box_of(source: Source, origin: np.ndarray, scale: float) -> Box:
     return Box.axis_aligned(low - grow, high + grow)
 
 
-def frustum(camera: Camera, near: float, far: float) -> np.ndarray:
+def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
     """[8, 3] the corners of what a camera sees between two depths."""
     edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
     origins, directions = camera.rays(edge)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -31,7 +32,7 @@ class RigSettings:
     distance: float = 0.0
 
 
-def directions(count: int, hemisphere: bool) -> np.ndarray:
+def directions(count: int, hemisphere: bool) -> NDArray[Any]:
     """[count, 3] unit vectors spread evenly (Fibonacci lattice), z from the top down."""
     if count < 1:
         raise SnergError(f"The rig has {count} cameras; it needs at least 1.")
@@ -42,7 +43,7 @@ def directions(count: int, hemisphere: bool) -> np.ndarray:
     return np.stack([radius * np.cos(around), radius * np.sin(around), z], axis=-1)
 
 
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+def look_at(position: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
     """[4, 4] camera-to-world at `position` [3] that looks at `target` [3] with world z upwards in the picture."""
     back = position - target
     back = back / np.linalg.norm(back)

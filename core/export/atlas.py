@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..scene.blocks import CELL_VOXELS
@@ -27,7 +29,7 @@ def atlas_blocks(cells: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-def slices(cells: np.ndarray, blocks: tuple[int, int, int]) -> Iterator[np.ndarray]:
+def slices(cells: NDArray[Any], blocks: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
     """The atlas as pictures uint8 [4 * atlas_height, atlas_width, C], in Z order; cell i at (i % bx, i / bx % by, ...)."""
     bx, by, bz = blocks
     n, c = CELL_VOXELS, cells.shape[-1]
@@ -41,7 +43,7 @@ def slices(cells: np.ndarray, blocks: tuple[int, int, int]) -> Iterator[np.ndarr
             yield planes[z : z + PLANES].reshape(PLANES * by * n, bx * n, c)
 
 
-def cells_from_slices(read: Callable[[int], np.ndarray], blocks: tuple[int, int, int], count: int, channels: int) -> np.ndarray:
+def cells_from_slices(read: Callable[[int], NDArray[Any]], blocks: tuple[int, int, int], count: int, channels: int) -> NDArray[Any]:
     """Undo `slices`: `read(i)` gives picture i; returns uint8 [count, 32, 32, 32, channels]."""
     bx, by, bz = blocks
     n = CELL_VOXELS

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, features
 
 from ..errors import SnergError
@@ -72,7 +73,7 @@ class CodecSettings:
         return cls(value["name"]) if value["name"] in LOSSLESS else cls(value["name"], value["quality"])
 
 
-def pictures_of(pixels: np.ndarray, codec: CodecSettings) -> dict[str, np.ndarray]:
+def pictures_of(pixels: NDArray[Any], codec: CodecSettings) -> dict[str, NDArray[Any]]:
     """Part of the atlas, uint8 [H, W, 4 or 8], as the pictures that hold it, by kind.
 
     PNG: 'rgba' and 'feature', as in the reference layout. Else 'alpha' [H, W], always PNG, 'rgb' [H, W, 3], and 'feature'
@@ -91,7 +92,7 @@ def pictures_of(pixels: np.ndarray, codec: CodecSettings) -> dict[str, np.ndarra
     return pictures
 
 
-def pixels_of(pictures: dict[str, np.ndarray], codec: CodecSettings) -> np.ndarray:
+def pixels_of(pictures: dict[str, NDArray[Any]], codec: CodecSettings) -> NDArray[Any]:
     """Undo `pictures_of`: uint8 [H, W, 4 or 8]."""
     feature = pictures.get("feature")
     if codec.name == "png":
@@ -109,7 +110,7 @@ def suffix(kind: str, codec: CodecSettings) -> str:
     return "png" if kind == "alpha" else SUFFIXES[codec.name]
 
 
-def encode(kind: str, pixels: np.ndarray, codec: CodecSettings) -> bytes:
+def encode(kind: str, pixels: NDArray[Any], codec: CodecSettings) -> bytes:
     """A picture as a file's bytes."""
     if suffix(kind, codec) == "png":
         return png_bytes(pixels)
@@ -123,7 +124,7 @@ def encode(kind: str, pixels: np.ndarray, codec: CodecSettings) -> bytes:
     return buffer.getvalue()
 
 
-def read_picture(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+def read_picture(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
     """A picture of the kind that its suffix says, which must have exactly this shape, [H, W] or [H, W, 3 or 4].
 
     Raises SnergError naming the file when it is missing, damaged or another picture.
@@ -152,7 +153,7 @@ def _check_stored(path: Path) -> None:
     check_file(path, MAX_BYTES)
 
 
-def _rounded(values: np.ndarray) -> np.ndarray:
+def _rounded(values: NDArray[Any]) -> NDArray[Any]:
     """To 8 bits without a bias, which rays would add up: Pillow's own conversion is a level and a half too dark."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
@@ -175,7 +176,7 @@ class VideoWriter:
         self.container = self.av.open(self.buffer, "w", format="mp4")
         self.stream: Any = None
 
-    def add(self, pixels: np.ndarray) -> None:
+    def add(self, pixels: NDArray[Any]) -> None:
         """The next frame."""
         if self.stream is None:
             options = {"crf": f"{0.51 * (100 - self.codec.quality):.2f}", "preset": "medium", "sc_threshold": "0"}
@@ -194,7 +195,7 @@ class VideoWriter:
         self.path.write_bytes(self.buffer.getbuffer())
 
 
-def read_video(path: Path, shape: tuple[int, int, int]) -> Iterator[np.ndarray]:
+def read_video(path: Path, shape: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
     """The frames that `VideoWriter` wrote, one after another, each of exactly this shape.
 
     Raises SnergError naming the file when it is missing, damaged or another video, or where PyAV is missing.

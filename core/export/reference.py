@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera, focal_from_angle, rigid
@@ -87,7 +88,7 @@ def for_viewer(snerg: Scene) -> Scene:
     return reorient(snerg, np.rint(rotation.T @ FLIP).astype(int), FLIP)
 
 
-def viewer_axes(rotation: np.ndarray) -> np.ndarray:
+def viewer_axes(rotation: NDArray[Any]) -> NDArray[Any]:
     """[3, 3] signed permutation from the viewer's axes to the grid's that shows the scene most nearly upright.
 
     rotation: [3, 3] from the grid's axes to the world's. Of the 24 turns of a cube, the one that brings the viewer's y
@@ -97,14 +98,14 @@ def viewer_axes(rotation: np.ndarray) -> np.ndarray:
     return max(_turns(), key=lambda turn: float((UPRIGHT * (rotation @ turn) * weight).sum()))
 
 
-def _turns() -> Iterable[np.ndarray]:
+def _turns() -> Iterable[NDArray[Any]]:
     for order, signs in itertools.product(itertools.permutations(range(3)), itertools.product((1, -1), repeat=3)):
         turn = np.eye(3, dtype=int)[:, list(order)] * signs
         if round(np.linalg.det(turn)) == 1:
             yield turn
 
 
-def reorient(snerg: Scene, turn: np.ndarray, flip: np.ndarray = SAME) -> Scene:
+def reorient(snerg: Scene, turn: NDArray[Any], flip: NDArray[Any] = SAME) -> Scene:
     """The same scene with its grid along other axes: column j of `turn` is new axis j in the old ones.
 
     flip: [3, 3] from the world that the grid stands in to the one of the result; it mirrors where `turn` does. A flipped axis is
@@ -170,12 +171,12 @@ def scene_params(snerg: Scene, turned: Scene, camera: Camera | None) -> dict[str
     return params
 
 
-def flip_of(ndc: Ndc | None) -> np.ndarray:
+def flip_of(ndc: Ndc | None) -> NDArray[Any]:
     """[3, 3] from the world of a scene's grid to that of the layout's."""
     return SAME if ndc is None else FLIP
 
 
-def viewer_place(snerg: Scene, turned: Scene, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def viewer_place(snerg: Scene, turned: Scene, scale: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """The grid's corner in the viewer's world, the viewer's axes [3, 3] in ours, and its origin in ours."""
     pose = turned.grid_to_world
     if snerg.ndc is not None:
@@ -205,7 +206,7 @@ def frame_params(ndc: Ndc) -> dict[str, float]:
     return {"input_height": 2 * focal / ndc.focal[1], "input_width": 1000.0, "input_focal": focal}
 
 
-def index_picture(snerg: Scene) -> np.ndarray:
+def index_picture(snerg: Scene) -> NDArray[Any]:
     """RGB uint8 [bz * by, bx, 3]: the cell's place in the atlas, in cells along x, y and z; 255 where there is none."""
     width, height, _ = atlas_blocks(len(snerg.cells))
     number = snerg.indirection.transpose(2, 1, 0).reshape(-1, snerg.indirection.shape[0])
@@ -224,9 +225,9 @@ class ReferenceParams:
 
     voxel_size: float
     shape: tuple[int, int, int]
-    low: np.ndarray
+    low: NDArray[Any]
     atlas: tuple[int, int, int]
-    pose: np.ndarray
+    pose: NDArray[Any]
     network: ViewNetwork | None
     ours: dict[str, Any]
     ndc: Ndc | None
@@ -346,7 +347,7 @@ def _finite(value: dict[str, Any], key: str, positive: bool = False) -> float:
     return found
 
 
-def _pose(rows: Any) -> np.ndarray:
+def _pose(rows: Any) -> NDArray[Any]:
     pose = np.array(rows, np.float64)
     if pose.shape != (4, 4) or not (np.abs(pose) <= FAR).all():
         raise ValueError("worldspace_T_opengl is not a finite 4 x 4 matrix")
@@ -356,7 +357,7 @@ def _pose(rows: Any) -> np.ndarray:
     return pose
 
 
-def _facing(rows: Any) -> np.ndarray:
+def _facing(rows: Any) -> NDArray[Any]:
     """From the axes of a frame to the network's. What the reference writes is the turning round of its grid, not of directions."""
     matrix = np.array(rows, np.float64)
     if matrix.shape == (4, 4) and np.array_equal(matrix[:3, :3], FLIP):
@@ -378,7 +379,7 @@ def _network(value: dict[str, Any]) -> ViewNetwork:
     return ViewNetwork(*arrays)
 
 
-def read_indices(folder: Path, params: ReferenceParams) -> tuple[np.ndarray, np.ndarray]:
+def read_indices(folder: Path, params: ReferenceParams) -> tuple[NDArray[Any], NDArray[Any]]:
     """atlas_indices.png: (places [M, 3], the cells in use as (ix, iy, iz), and indirection [bx, by, bz] into them)."""
     path = folder / "atlas_indices.png"
     bx, by, bz = blocks_of(params.shape)
@@ -399,7 +400,7 @@ def read_indices(folder: Path, params: ReferenceParams) -> tuple[np.ndarray, np.
     return used[first], indirection
 
 
-def read_atlas(folder: Path, params: ReferenceParams, places: np.ndarray, progress: Progress) -> np.ndarray:
+def read_atlas(folder: Path, params: ReferenceParams, places: NDArray[Any], progress: Progress) -> NDArray[Any]:
     """The cells at `places` [M, 3], uint8 [M, 32, 32, 32, 4 or 8]; only those, a picture at a time (hard case 56)."""
     names = [("rgba", [0, 1, 2, 7]), ("feature", [3, 4, 5, 6])] if params.network is not None else [("rgba", [0, 1, 2, 3])]
     check_atlas(folder, len(places) * CELL_VOXELS**3 * 4 * len(names))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.ndc import Ndc
@@ -75,7 +76,7 @@ def check_storable(quantised: bool, codec: CodecSettings) -> None:
 def write_slices(snerg: Scene, folder: Path, codec: CodecSettings, progress: Progress) -> None:
     """The atlas pictures, two at a time (encoders let go of Python's lock)."""
 
-    def write(index: int, pictures: dict[str, np.ndarray]) -> None:
+    def write(index: int, pictures: dict[str, NDArray[Any]]) -> None:
         for kind, pixels in pictures.items():
             (folder / f"{kind}_{index:03d}.{suffix(kind, codec)}").write_bytes(encode(kind, pixels, codec))
 
@@ -130,7 +131,7 @@ def scene_json(snerg: Scene, codec: CodecSettings = PNG) -> dict[str, Any]:
     }
 
 
-def indirection_picture(indirection: np.ndarray) -> np.ndarray:
+def indirection_picture(indirection: NDArray[Any]) -> NDArray[Any]:
     """int32 [bx, by, bz] to RGB uint8 [bz * by, bx, 3]: 0 where empty, else cell + 1 = R + 256 G + 65536 B."""
     value = (indirection.transpose(2, 1, 0).reshape(-1, indirection.shape[0]) + 1).astype(np.uint32)
     return np.stack([value & 255, value >> 8 & 255, value >> 16 & 255], axis=-1).astype(np.uint8)
@@ -250,7 +251,7 @@ def check_atlas(folder: Path, values: int) -> None:
         )
 
 
-def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> np.ndarray:
+def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> NDArray[Any]:
     """Atlas cells [count, 32, 32, 32, channels] as their codec stored them."""
     ax, ay, az = (whole(n, "atlas_blocks", 1, MAX_ATLAS_CELLS) for n in value["atlas_blocks"])
     count = whole(value["cells"], "cells", 0, MAX_ATLAS_CELLS**3)
@@ -264,7 +265,7 @@ def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> np.ndarra
     return cells_from_slices(read, (ax, ay, az), count, channels)
 
 
-def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, int], channels: int) -> Callable[[int], np.ndarray]:
+def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, int], channels: int) -> Callable[[int], NDArray[Any]]:
     """A function from 0, 1, 2, ... to that slice of the atlas, uint8 [H, W, channels]. Raises SnergError as `read_scene` does."""
     codec.check()
     height, width = PLANES * blocks[1] * CELL_VOXELS, blocks[0] * CELL_VOXELS
@@ -277,7 +278,7 @@ def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, i
     alpha = shapes.pop("alpha")
     frames = {kind: read_video(folder / f"{kind}.mp4", (shape[0] // PLANES, width, 3)) for kind, shape in shapes.items()}
 
-    def read(index: int) -> np.ndarray:
+    def read(index: int) -> NDArray[Any]:
         planes = np.split(read_picture(folder / f"alpha_{index:03d}.png", alpha), PLANES)
         return np.concatenate(
             [pixels_of({"alpha": plane} | {kind: next(video) for kind, video in frames.items()}, codec) for plane in planes]
@@ -286,7 +287,7 @@ def picture_reader(folder: Path, codec: CodecSettings, blocks: tuple[int, int, i
     return read
 
 
-def _read_floats(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+def _read_floats(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
     """cells.npy, float32 in [0, 1]; its header is read first (hard case 61)."""
     if not path.exists():
         raise SnergError(f"{path} is missing; the scene's folder is damaged: export it again.")

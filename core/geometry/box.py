@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.files import read_json
@@ -22,8 +23,8 @@ class Box:
     Raises SnergError when a side is not finite and above 0.
     """
 
-    box_to_world: np.ndarray
-    size: np.ndarray
+    box_to_world: NDArray[Any]
+    size: NDArray[Any]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "box_to_world", rigid(self.box_to_world, "The box"))
@@ -41,7 +42,7 @@ class Box:
         return cls(pose, high - low)
 
     @classmethod
-    def from_matrix(cls, matrix: np.ndarray) -> Box:
+    def from_matrix(cls, matrix: NDArray[Any]) -> Box:
         """The image of the cube [-1, 1]^3 under a [4, 4] matrix: how Blender draws a cube empty of display size 1."""
         matrix = np.asarray(matrix, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
@@ -80,12 +81,12 @@ class Box:
         """A box from a JSON file. Raises SnergError on anything that is not one."""
         return cls.from_json(read_json(path), str(path))
 
-    def contains(self, points: np.ndarray) -> np.ndarray:
+    def contains(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world points to [N] bool."""
         local = (points - self.box_to_world[:3, 3]) @ self.box_to_world[:3, :3]
         return (np.abs(local) <= self.size / 2).all(axis=-1)
 
-    def corners(self) -> np.ndarray:
+    def corners(self) -> NDArray[Any]:
         """[8, 3] world units."""
         signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1).reshape(8, 3)
         return (signs * self.size / 2) @ self.box_to_world[:3, :3].T + self.box_to_world[:3, 3]

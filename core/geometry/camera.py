@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.guard import why
@@ -38,7 +39,7 @@ class Camera:
     height: int
     focal: tuple[float, float]
     centre: tuple[float, float]
-    camera_to_world: np.ndarray
+    camera_to_world: NDArray[Any]
     projection: str = "perspective"
     name: str = ""
     near: float = 0.0
@@ -62,7 +63,7 @@ class Camera:
         object.__setattr__(self, "camera_to_world", rigid(self.camera_to_world, f"Camera {self.name!r}"))
 
     @property
-    def position(self) -> np.ndarray:
+    def position(self) -> NDArray[Any]:
         """[3] float64, world units."""
         return self.camera_to_world[:3, 3]
 
@@ -77,7 +78,7 @@ class Camera:
             centre=(self.centre[0] * sx, self.centre[1] * sy),
         )
 
-    def rays(self, pixels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def rays(self, pixels: NDArray[Any] | None = None) -> tuple[NDArray[Any], NDArray[Any]]:
         """Origins and unit directions through pixel centres, world axes, float64.
 
         pixels: [N, 2] (column, row) integers; all pixels, row by row, when None. Returns ([N, 3], [N, 3]).
@@ -95,12 +96,12 @@ class Camera:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return np.broadcast_to(position, directions.shape).copy(), directions
 
-    def pixels(self) -> np.ndarray:
+    def pixels(self) -> NDArray[Any]:
         """[H * W, 2] (column, row) of every pixel, row by row."""
         rows, columns = np.mgrid[0 : self.height, 0 : self.width]
         return np.stack([columns.ravel(), rows.ravel()], axis=-1)
 
-    def sees(self) -> np.ndarray | None:
+    def sees(self) -> NDArray[Any] | None:
         """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
         if self.distortion is None:
             return None
@@ -124,17 +125,17 @@ class Camera:
         )
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
-    def moved(self, similarity: np.ndarray) -> Camera:
+    def moved(self, similarity: NDArray[Any]) -> Camera:
         """The camera in a world that [4, 4] `similarity` maps this one to; its near plane moves along."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
         focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
         return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, focal=focal)
 
-    def _normalised(self, pixels: np.ndarray) -> np.ndarray:
+    def _normalised(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""
         return (pixels + 0.5 - np.array(self.centre)) / np.array(self.focal)
 
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
@@ -144,12 +145,12 @@ class Camera:
             flat = self.distortion.distort(flat)
         return np.array(self.centre) + np.array(self.focal) * flat, depth
 
-    def shows(self, points: np.ndarray) -> np.ndarray:
+    def shows(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N] bool: which world points [N, 3] are in the picture, whatever is in front of them."""
         pixels, depth = self.project(points)
         return (depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1)
 
-    def toward(self, points: np.ndarray) -> np.ndarray:
+    def toward(self, points: NDArray[Any]) -> NDArray[Any]:
         """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
         if self.projection == "orthographic":
             return np.broadcast_to(-self.camera_to_world[:3, 2], points.shape).copy()
@@ -202,7 +203,7 @@ def focal_from_angle(angle: float, pixels: int, where: str) -> float:
     return 0.5 * pixels / math.tan(0.5 * angle)
 
 
-def rigid(matrix: np.ndarray, where: str) -> np.ndarray:
+def rigid(matrix: NDArray[Any], where: str) -> NDArray[Any]:
     """[4, 4] pose with the scale taken out of its axes, float64 (hard case 5).
 
     Raises SnergError when the matrix is not finite, is flat, or mirrors.

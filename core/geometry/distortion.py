@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 
@@ -49,15 +50,15 @@ class Distortion:
             raise SnergError(f"The lens has the coefficients {values}; model {self.model!r} takes at most {most} finite numbers.")
         object.__setattr__(self, "coefficients", values + (0.0,) * (most - len(values)))
 
-    def distort(self, xy: np.ndarray) -> np.ndarray:
+    def distort(self, xy: NDArray[Any]) -> NDArray[Any]:
         """Where points [N, 2] of an ideal picture land in this lens's, [N, 2] float64."""
         return self._alone.distort(np.zeros(len(xy), np.int64), xy)
 
-    def undistort(self, xy: np.ndarray) -> np.ndarray:
+    def undistort(self, xy: NDArray[Any]) -> NDArray[Any]:
         """Undo `distort`, [N, 2] float64, always finite."""
         return self._alone.undistort(np.zeros(len(xy), np.int64), xy)
 
-    def sees(self, xy: np.ndarray) -> np.ndarray:
+    def sees(self, xy: NDArray[Any]) -> NDArray[Any]:
         """Which points [N, 2] of this lens's picture the model says something about, bool [N]: not past the fold, less than
         90 degrees from the axis."""
         return np.linalg.norm(self.undistort(xy), axis=-1) < self._alone.limit[0] * (1 - 1e-9)
@@ -92,7 +93,7 @@ class Lenses:
         self.reach = np.minimum(self.edge, REACH)
         self.table = np.stack([self._inverse(i) for i in range(len(lenses))])
 
-    def distort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    def distort(self, lens: NDArray[Any], xy: NDArray[Any]) -> NDArray[Any]:
         """As Distortion.distort, of point i by lens `lens[i]`."""
         xy = np.asarray(xy, np.float64)
         radius = np.hypot(xy[:, 0], xy[:, 1])
@@ -101,7 +102,7 @@ class Lenses:
         held = xy * np.where(beyond > 0, self.limit[lens] / safe[:, 0], 1)[:, None]
         return self._bent(self._of(lens), held)[0] + xy / safe * beyond[:, None]
 
-    def undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    def undistort(self, lens: NDArray[Any], xy: NDArray[Any]) -> NDArray[Any]:
         """As Distortion.undistort, of point i by lens `lens[i]`."""
         xy = np.asarray(xy, np.float64)
         if len(xy) <= CHUNK:
@@ -112,7 +113,7 @@ class Lenses:
             result[part] = self._undistort(lens[part], xy[part])
         return result
 
-    def _undistort(self, lens: np.ndarray, xy: np.ndarray) -> np.ndarray:
+    def _undistort(self, lens: NDArray[Any], xy: NDArray[Any]) -> NDArray[Any]:
         radius = np.maximum(np.hypot(xy[:, 0], xy[:, 1]), 1e-300)
         guess = xy * (self._guess(lens, radius) / radius)[:, None]
         limit, of = self.limit[lens], self._of(lens)
@@ -131,13 +132,13 @@ class Lenses:
         past = limit + np.maximum(radius - self.edge[lens], 0)
         return np.where(gone[:, None], xy * (past / radius)[:, None], guess)
 
-    def _guess(self, lens: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    def _guess(self, lens: NDArray[Any], radius: NDArray[Any]) -> NDArray[Any]:
         place = np.minimum(radius / self.reach[lens], 1) * (TABLE - 1)
         before = np.minimum(place.astype(np.int64), TABLE - 2)
         low, high = self.table[lens, before], self.table[lens, before + 1]
         return low + (high - low) * (place - before)
 
-    def _inverse(self, index: int) -> np.ndarray:
+    def _inverse(self, index: int) -> NDArray[Any]:
         """Ideal radius [TABLE] at even steps of the distorted radius up to `reach`, from the radial part alone."""
         ideal = np.tan(np.linspace(0, math.atan(self.limit[index]), 4 * TABLE))
         ideal[-1] = self.limit[index]
@@ -145,11 +146,11 @@ class Lenses:
         landed = self._radial(self._of(np.full(len(points), index)), points)[0][:, 0]
         return np.interp(np.linspace(0, self.reach[index], TABLE), landed, ideal)
 
-    def _of(self, lens: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _of(self, lens: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coefficients [8, N] of each point's lens, and whether it is a fisheye [N]."""
         return self.coefficients[lens].T, self.fisheye[lens]
 
-    def _bent(self, of: tuple[np.ndarray, np.ndarray], xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    def _bent(self, of: tuple[NDArray[Any], NDArray[Any]], xy: NDArray[Any]) -> tuple[NDArray[Any], tuple[NDArray[Any], ...]]:
         """Where points land, and the four derivatives dx'/dx, dx'/dy, dy'/dx, dy'/dy, each [N]."""
         landed, (xx, mixed, yy) = self._radial(of, xy)
         if not self.tangential:
@@ -163,7 +164,9 @@ class Lenses:
         landed[:, 1] += p1 * (square + 2 * y * y) + 2 * p2 * x * y
         return landed, (xx + 2 * p1 * y + 6 * p2 * x, mixed + across, mixed + across, yy + 6 * p1 * y + 2 * p2 * x)
 
-    def _radial(self, of: tuple[np.ndarray, np.ndarray], xy: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _radial(
+        self, of: tuple[NDArray[Any], NDArray[Any]], xy: NDArray[Any]
+    ) -> tuple[NDArray[Any], tuple[NDArray[Any], NDArray[Any], NDArray[Any]]]:
         """The radial part s xy of both models, and its derivatives s + s' x^2, s' xy, s + s' y^2, where s' = (ds/dr) / r."""
         k, fisheye = of
         x, y = xy[:, 0], xy[:, 1]
@@ -175,13 +178,13 @@ class Lenses:
         return xy * scale[:, None], (scale + slope * x * x, slope * x * y, scale + slope * y * y)
 
 
-def _polynomial(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _polynomial(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Scale and (d scale / dr) / r of OpenCV's model without a denominator, coefficients [8, N], at squared radii s [N]."""
     k1, k2, _, _, k3, *_ = k
     return 1 + s * (k1 + s * (k2 + s * k3)), 2 * (k1 + s * (2 * k2 + s * 3 * k3))
 
 
-def _rational(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _rational(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """The same with the denominator."""
     top, d_top = _polynomial(k, s)
     _, _, _, _, _, k4, k5, k6 = k
@@ -190,7 +193,7 @@ def _rational(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return top / below, (d_top * below - top * d_below) / (below * below)
 
 
-def _spherical(k: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _spherical(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """The same of the fisheye model (Kannala and Brandt 2006): scale = theta_d / r, with r = tan theta."""
     k1, k2, k3, k4, *_ = k
     r = np.sqrt(np.maximum(s, 1e-12))

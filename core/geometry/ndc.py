@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from .camera import rigid
@@ -29,7 +30,7 @@ class Ndc:
     Raises SnergError when a value is not finite and above 0.
     """
 
-    camera_to_world: np.ndarray
+    camera_to_world: NDArray[Any]
     focal: tuple[float, float]
     near: float
 
@@ -54,12 +55,12 @@ class Ndc:
         x, y = value["focal"]
         return cls(np.array(value["camera_to_world"], np.float64), (float(x), float(y)), float(value["near"]))
 
-    def from_world(self, points: np.ndarray) -> np.ndarray:
+    def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world to NDC, float64. Always finite: what is not in front of the camera comes out far below z' = -1."""
         local = self._local(points)
         return self._device(local[:, :2], np.minimum(local[:, 2], -NEAREST * self.near))
 
-    def to_world(self, points: np.ndarray) -> np.ndarray:
+    def to_world(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] NDC to the world, float64. Always finite: z' >= 1 comes out 2e9 times as far as near."""
         points = np.asarray(points, np.float64)
         z = self._depth(points[:, 2])
@@ -67,8 +68,8 @@ class Ndc:
         return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
 
     def rays(
-        self, origins: np.ndarray, directions: np.ndarray, near: np.ndarray | float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         """See `space_rays`."""
         start, toward, alive = self._starts(origins, directions, near)
         point = np.where(alive[:, None], self._device(start[:, :2], start[:, 2]), BEYOND)
@@ -80,7 +81,9 @@ class Ndc:
         far = np.where(alive, (1 - point[:, 2]) / direction[:, 2], 0)
         return point, direction, np.zeros(len(point)), far
 
-    def distance(self, origins: np.ndarray, directions: np.ndarray, along: np.ndarray, near: np.ndarray | float = 0.0) -> np.ndarray:
+    def distance(
+        self, origins: NDArray[Any], directions: NDArray[Any], along: NDArray[Any], near: NDArray[Any] | float = 0.0
+    ) -> NDArray[Any]:
         """World distance [N] float64 along rays as given to `rays`, at distance `along` [N] on what `rays` made of them.
 
         Finite: infinity comes out as in `to_world`. Rays that miss give their own `near`.
@@ -90,18 +93,20 @@ class Ndc:
         z = self._depth(point[:, 2] + along * direction[:, 2])
         return np.where(alive, (z - self._local(origins)[:, 2]) / toward[:, 2], near)
 
-    def _local(self, points: np.ndarray) -> np.ndarray:
+    def _local(self, points: NDArray[Any]) -> NDArray[Any]:
         return (np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3]
 
-    def _device(self, xy: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def _device(self, xy: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
         """Camera axes to NDC; z < 0."""
         return np.concatenate([-np.array(self.focal) * xy / z[:, None], (1 + 2 * self.near / z)[:, None]], axis=-1)
 
-    def _depth(self, z: np.ndarray) -> np.ndarray:
+    def _depth(self, z: NDArray[Any]) -> NDArray[Any]:
         """z of the camera's axes where z' is the NDC."""
         return -2 * self.near / np.maximum(1 - z, NEAREST)
 
-    def _starts(self, origins: np.ndarray, directions: np.ndarray, near: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _starts(
+        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Where rays begin [N, 3] and their directions [N, 3], camera axes, and which hit [N] bool; any point and the axis else."""
         origin = self._local(origins)
         toward = np.asarray(directions, np.float64) @ self.camera_to_world[:3, :3]
@@ -114,8 +119,8 @@ class Ndc:
 
 
 def space_rays(
-    ndc: Ndc | None, origins: np.ndarray, directions: np.ndarray, near: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    ndc: Ndc | None, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float = 0.0
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """World rays (origins and unit directions [N, 3], near [N] or a float >= 0) to (origins, unit directions, near, far) in space.
 
     Without NDC they stay as they are, far is infinite. With NDC they begin at the near plane, or at `near` where that is
@@ -130,7 +135,7 @@ def space_rays(
 
 
 def world_distance(
-    ndc: Ndc | None, origins: np.ndarray, directions: np.ndarray, along: np.ndarray, near: np.ndarray | float = 0.0
-) -> np.ndarray:
+    ndc: Ndc | None, origins: NDArray[Any], directions: NDArray[Any], along: NDArray[Any], near: NDArray[Any] | float = 0.0
+) -> NDArray[Any]:
     """World distance [N] float64 at distance `along` [N] on what `space_rays` made of the same world rays."""
     return np.asarray(along, np.float64) if ndc is None else ndc.distance(origins, directions, along, near)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import Cancelled, SnergError
 from .guard import check_file, reading, why
@@ -106,7 +107,7 @@ def check_own(path: Path) -> None:
         raise SnergError(f"{path} is a link or no file, and only files of the scene's own are published; put a copy of the file there.")
 
 
-def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
     with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
         for name, array in arrays.items():

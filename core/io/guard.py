@@ -8,8 +8,10 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError, clean
 
@@ -64,7 +66,7 @@ def check_file(path: Path, most: int) -> int:
     return known.st_size
 
 
-def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, most: int) -> dict[str, NDArray[Any]]:
     """The arrays of an .npz of at most `most` bytes, no pickles.
 
     What they unpack to is added up from their headers first. Raises SnergError as `check_file` does, anything that a decoder raises
@@ -79,7 +81,7 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
         return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     """A member, which must be as long as its header says. Raises ValueError and what decoders raise."""
     if member.compress_type not in PACKED:
         raise ValueError(f"{member.filename} is packed by method {member.compress_type}")

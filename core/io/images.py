@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import SnergError
@@ -36,7 +37,7 @@ def read_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def read_image(path: Path) -> np.ndarray:
+def read_image(path: Path) -> NDArray[Any]:
     """A picture as uint8 [H, W, 3 or 4], sRGB, straight alpha.
 
     16 bits a channel are rounded to 8. OpenEXR is linear with premultiplied alpha and is brought to sRGB and straight alpha.
@@ -51,7 +52,7 @@ def read_image(path: Path) -> np.ndarray:
         return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
 
 
-def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.ndarray:
+def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArray[Any]:
     """A mask as bool [height, width]: where it is white throughout the pixel, with `hides` where it is black throughout.
 
     Raises SnergError as `read_image` does, and when its sides are in another proportion.
@@ -65,7 +66,7 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> np.nd
             return np.asarray(white.resize((width, height), Image.Resampling.BOX)) == 255
 
 
-def reduced(pixels: np.ndarray, factor: int) -> np.ndarray:
+def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
     """uint8 [H, W, 3 or 4] to [H // factor, W // factor, ...]: the mean of each square of pixels, in display space; where there
     is alpha, colours count as much as they cover. Rows and columns that fill no square are left out."""
     if factor == 1:
@@ -82,7 +83,7 @@ def damaged(path: Path, error: Exception | str) -> SnergError:
     return SnergError(f"The image {path} is damaged ({error}); write it again.")
 
 
-def _deep(path: Path, image: Image.Image) -> np.ndarray:
+def _deep(path: Path, image: Image.Image) -> NDArray[Any]:
     """Greys of more than 8 bits, uint8 [H, W, 3]."""
     values = np.asarray(image)
     if image.mode == "F" or values.min() < 0 or values.max() > 65535:
@@ -157,7 +158,7 @@ class _Linear:
             return [names.index("Y")] * 3 + ([names.index("A")] if "A" in names else [])
         raise SnergError(f"The image {self.path} has no channels R, G and B but {', '.join(names[:8])}; write the combined pass alone.")
 
-    def read(self) -> np.ndarray:
+    def read(self) -> NDArray[Any]:
         """uint8 [H, W, 3 or 4], sRGB, straight alpha."""
         file = self._input()
         try:
@@ -172,7 +173,7 @@ class _Linear:
             raise SnergError(f"The image {self.path} holds values that are not finite; render it again.")
         return to_uint8(display_referred(self._framed(values)))
 
-    def _framed(self, values: np.ndarray) -> np.ndarray:
+    def _framed(self, values: NDArray[Any]) -> NDArray[Any]:
         """What is stored, in the place that it has in the whole picture; nothing round it."""
         (width, height), (x, y) = self.size, self.corner
         if values.shape[:2] == (height, width) and (x, y) == (0, 0):
@@ -199,7 +200,7 @@ def _open_image_io(path: Path) -> Any:
     return OpenImageIO
 
 
-def display_referred(values: np.ndarray) -> np.ndarray:
+def display_referred(values: NDArray[Any]) -> NDArray[Any]:
     """Linear premultiplied float32 [..., 3 or 4] to sRGB with straight alpha, in [0, 1] (hard case 8)."""
     colour = values[..., :3]
     if values.shape[-1] == 3:
@@ -209,26 +210,26 @@ def display_referred(values: np.ndarray) -> np.ndarray:
     return np.concatenate([linear_to_srgb(np.clip(straight, 0, 1)), alpha], axis=-1)
 
 
-def png_bytes(pixels: np.ndarray, compress_level: int = 6) -> bytes:
+def png_bytes(pixels: NDArray[Any], compress_level: int = 6) -> bytes:
     """uint8 [H, W], [H, W, 3] or [H, W, 4] as a PNG of exactly those channels, 8 bits each."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(buffer, format="PNG", compress_level=compress_level)
     return buffer.getvalue()
 
 
-def write_png(path: Path, pixels: np.ndarray, compress_level: int = 6) -> None:
+def write_png(path: Path, pixels: NDArray[Any], compress_level: int = 6) -> None:
     """uint8 pixels to a PNG file, whole or not at all."""
     write_bytes(path, png_bytes(pixels, compress_level))
 
 
-def to_uint8(colour: np.ndarray) -> np.ndarray:
+def to_uint8(colour: NDArray[Any]) -> NDArray[Any]:
     """Display-referred [0, 1] to 8 bits, rounded to nearest. Raises SnergError on values that are not finite."""
     if not np.isfinite(colour).all():
         raise SnergError("A picture holds values that are not finite; nothing was written.")
     return (np.clip(colour, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def over(image: np.ndarray, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+def over(image: NDArray[Any], background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> NDArray[Any]:
     """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over a colour, in display space (hard case 8)."""
     colour = image[..., :3].astype(np.float32) / 255
     if image.shape[-1] == 3:
@@ -237,11 +238,11 @@ def over(image: np.ndarray, background: tuple[float, float, float] = (1.0, 1.0, 
     return colour * alpha + (1 - alpha) * np.array(background, np.float32)
 
 
-def srgb_to_linear(colour: np.ndarray) -> np.ndarray:
+def srgb_to_linear(colour: NDArray[Any]) -> NDArray[Any]:
     """IEC 61966-2-1, elementwise."""
     return np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
-def linear_to_srgb(colour: np.ndarray) -> np.ndarray:
+def linear_to_srgb(colour: NDArray[Any]) -> NDArray[Any]:
     """IEC 61966-2-1, elementwise; below 0 stays linear."""
     return np.where(colour <= 0.0031308, colour * 12.92, 1.055 * np.maximum(colour, 0.0031308) ** (1 / 2.4) - 0.055)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import clean
 
@@ -57,7 +58,7 @@ def record(value: Any, name: str) -> dict[str, Any]:
     return value
 
 
-def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) -> np.ndarray:
+def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) -> NDArray[Any]:
     """Finite numbers of this shape, none beyond `most`, float64."""
     found = np.asarray(value)
     if found.shape != shape or found.dtype.kind not in "fiu":
@@ -68,7 +69,7 @@ def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) ->
     return found
 
 
-def rotation(value: Any, name: str) -> np.ndarray:
+def rotation(value: Any, name: str) -> NDArray[Any]:
     """[3, 3] orthonormal and no mirror."""
     axes = numbers(value, name, (3, 3))
     if np.abs(axes.T @ axes - np.eye(3)).max() > ALIKE or np.linalg.det(axes) < 0:
@@ -76,7 +77,7 @@ def rotation(value: Any, name: str) -> np.ndarray:
     return axes
 
 
-def pose(value: Any, name: str) -> np.ndarray:
+def pose(value: Any, name: str) -> NDArray[Any]:
     """[4, 4]: a rotation and a translation."""
     matrix = numbers(value, name, (4, 4))
     rotation(matrix[:3, :3], name)

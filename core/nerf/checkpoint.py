@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
@@ -33,7 +34,7 @@ GRID_LIMITS = {"levels": 32, "coarsest": 2**14, "finest": 2**14, "features": 16,
 MLP_LIMITS = {"width": (1, MAX_WIDTH), "depth": (1, 64), "skip": (1, 2**16), "degrees": (0, 32)}
 
 
-def write_field(field: Field, folder: Path, state: dict[str, np.ndarray] | None = None) -> None:
+def write_field(field: Field, folder: Path, state: dict[str, NDArray[Any]] | None = None) -> None:
     """Write a field, whole or not at all; `state` is what training needs to go on. Raises SnergError naming a bad array."""
     arrays = {f"params.{name}": array for name, array in flatten(field.params).items()}
     if field.network is not None:
@@ -72,7 +73,7 @@ def read_field(path: Path) -> Field:
     return read_field_and_state(path)[0]
 
 
-def read_field_and_state(path: Path) -> tuple[Field, dict[str, np.ndarray]]:
+def read_field_and_state(path: Path) -> tuple[Field, dict[str, NDArray[Any]]]:
     """A field, and what `write_field` was given as its training state."""
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
@@ -85,7 +86,7 @@ def read_field_and_state(path: Path) -> tuple[Field, dict[str, np.ndarray]]:
         return _field(arrays, about), {k.removeprefix("state."): v for k, v in arrays.items() if k.startswith("state.")}
 
 
-def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
+def _field(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> Field:
     """Raises ValueError, or anything else, where the arrays or the JSON value are not what `write_field` writes."""
     family, kind = read_family(about["family"]), about["view"]
     if kind not in VIEWS:
@@ -108,26 +109,26 @@ def _field(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Field:
     )
 
 
-def _network(arrays: dict[str, np.ndarray]) -> ViewNetwork:
+def _network(arrays: dict[str, NDArray[Any]]) -> ViewNetwork:
     return ViewNetwork(
         *(numbers(arrays[name], name, shape, LARGEST).astype(np.float32) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True))
     )
 
 
-def _domain(arrays: dict[str, np.ndarray], about: dict[str, Any]) -> Domain:
+def _domain(arrays: dict[str, NDArray[Any]], about: dict[str, Any]) -> Domain:
     centre, low, high = (numbers(arrays[f"domain.{name}"], f"domain.{name}", (3,)) for name in ("centre", "low", "high"))
     if not (low < high).all():
         raise ValueError("the domain's corners are not in order")
     return Domain(centre, positive(about["scale"], "scale"), low, high)
 
 
-def _occupancy(cells: np.ndarray | None) -> np.ndarray | None:
+def _occupancy(cells: NDArray[Any] | None) -> NDArray[Any] | None:
     if cells is not None and (cells.shape != (CELLS**3,) or cells.dtype != bool):
         raise ValueError(f"occupancy is {cells.dtype} {cells.shape}; it must be bool ({CELLS**3},)")
     return cells
 
 
-def check_params(params: dict[str, np.ndarray], family: ModelConfig, view: str) -> None:
+def check_params(params: dict[str, NDArray[Any]], family: ModelConfig, view: str) -> None:
     """Raise ValueError unless a field's parameters are named and shaped as its family and its view dependence have them, and finite."""
     wanted = param_shapes(family, view, params)
     if params.keys() != wanted.keys():
@@ -138,7 +139,7 @@ def check_params(params: dict[str, np.ndarray], family: ModelConfig, view: str) 
             raise ValueError(f"{name} is {array.dtype}")
 
 
-def param_shapes(family: ModelConfig, view: str, params: dict[str, np.ndarray]) -> dict[str, tuple[int, ...]]:
+def param_shapes(family: ModelConfig, view: str, params: dict[str, NDArray[Any]]) -> dict[str, tuple[int, ...]]:
     """Names and shapes of the arrays that `flatten` gives for such a field. Whether a diffuse one has features, its `params` tell."""
     last = params.get("bias_1" if isinstance(family, HashModelConfig) else f"{family.depth + 1:02d}.bias")
     outputs = {"sample": family.width}.get(view, 3 + FEATURES)
@@ -176,14 +177,14 @@ def read_family(value: dict[str, Any]) -> ModelConfig:
     raise ValueError(f"family {shown(kind)}")
 
 
-def flatten(params: Any) -> dict[str, np.ndarray]:
+def flatten(params: Any) -> dict[str, NDArray[Any]]:
     """A field's parameters as named arrays: a dict of them, or the layers of a trunk."""
     if isinstance(params, dict):
         return {k: np.asarray(v) for k, v in params.items()}
     return {f"{i:02d}.{k}": np.asarray(v) for i, layer in enumerate(params) for k, v in layer._asdict().items()}
 
 
-def unflatten(arrays: dict[str, np.ndarray], family: ModelConfig) -> Any:
+def unflatten(arrays: dict[str, NDArray[Any]], family: ModelConfig) -> Any:
     """Undo `flatten`."""
     if isinstance(family, HashModelConfig):
         return arrays

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
@@ -36,7 +37,7 @@ class Field:
     params: Any
     network: ViewNetwork | None
     domain: Domain
-    occupancy: np.ndarray | None
+    occupancy: NDArray[Any] | None
     spacing: float
     cameras: tuple[Camera, ...] = ()
     dataset: str = ""
@@ -45,7 +46,7 @@ class Field:
     view: str = "deferred"
 
     @cached_property
-    def _compiled(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
+    def _compiled(self) -> Callable[[NDArray[Any]], tuple[Any, Any]]:
         import jax
 
         inputs = jax.jit(lambda x: field_inputs(jax.numpy, self.family, x))
@@ -53,7 +54,7 @@ class Field:
         params = jax.device_put(self.params)
         return lambda x: outputs(params, inputs(x))
 
-    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """Field coordinates [N, 3] float32 to (density [N] per unit of them, RGB and features [N, 7]); no mask (JAX).
 
         A diffuse field may have no features: [N, 3].
@@ -61,14 +62,14 @@ class Field:
         density, values = in_chunks(self._compiled, x)
         return self._finite(density, values)
 
-    def _finite(self, density: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _finite(self, density: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         for what, array in (("densities", density), ("colours", values)):
             if not np.isfinite(array).all():
                 raise SnergError(f"The field gives {what} that are not finite; train it again, or import an undamaged checkpoint.")
         return density, values
 
     @cached_property
-    def _compiled_seen(self) -> Callable[[np.ndarray], tuple[Any, Any]]:
+    def _compiled_seen(self) -> Callable[[NDArray[Any]], tuple[Any, Any]]:
         import jax
 
         def seen(params: Any, inputs: Any, directions: Any) -> tuple[Any, Any]:
@@ -80,7 +81,7 @@ class Field:
         params = jax.device_put({"field": self.params, "view": self.network})
         return lambda x: compiled(params, inputs(x[:, :3]), x[:, 3:])
 
-    def seen(self, x: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self, x: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """`evaluate`, with values as they are composited along unit directions [N, 3] of the world: RGB [N, 3] where view
         dependence is a sample's own ('sample', 'tiny')."""
         if self.view not in ("sample", "tiny"):
@@ -88,7 +89,7 @@ class Field:
         density, values = in_chunks(self._compiled_seen, np.concatenate([x, directions], axis=-1, dtype=np.float32))
         return self._finite(density, values)
 
-    def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def query(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Points [N, 3] of the field's space to density [N] per unit of it, RGB [N, 3], features [N, 4] or [N, 0] (JAX).
 
         Outside what training saw the field is garbage, so there density is 0.
@@ -101,7 +102,7 @@ class Field:
         density[kept], values[kept] = found, known
         return density * np.float32(self.domain.scale), values[:, :3], values[:, 3:]
 
-    def holds(self, x: np.ndarray) -> np.ndarray:
+    def holds(self, x: NDArray[Any]) -> NDArray[Any]:
         """[N] bool: field coordinates at which there may be something."""
         within = (x >= (self.domain.low - 1e-6).astype(np.float32)) & (x <= (self.domain.high + 1e-6).astype(np.float32))
         inside = within[:, 0] & within[:, 1] & within[:, 2]  # three times as fast as all(axis=-1)
@@ -110,7 +111,7 @@ class Field:
         return inside
 
 
-def in_chunks(function: Callable[[np.ndarray], Sequence[Any]], x: np.ndarray, size: int = CHUNK) -> tuple[np.ndarray, ...]:
+def in_chunks(function: Callable[[NDArray[Any]], Sequence[Any]], x: NDArray[Any], size: int = CHUNK) -> tuple[NDArray[Any], ...]:
     """What a function of points [size, 3] gives for [N, 3], a chunk at a time, the last padded with zeros: one compiled shape.
 
     function: to arrays whose first axis is the points', however many; they come back as NumPy arrays [N, ...].

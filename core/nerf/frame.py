@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .model import ViewNetwork, view_residual
 
@@ -17,15 +19,15 @@ class Frame:
     """colour [H, W, 3] float32 premultiplied, display-referred, over nothing; alpha [H, W]; depth [H, W], the
     expected distance along the ray in world units, infinite where alpha is 0."""
 
-    colour: np.ndarray
-    alpha: np.ndarray
-    depth: np.ndarray
+    colour: NDArray[Any]
+    alpha: NDArray[Any]
+    depth: NDArray[Any]
 
-    def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
+    def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> NDArray[Any]:
         """[H, W, 3] in [0, 1] over a colour."""
         return np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1)
 
-    def straight(self) -> np.ndarray:
+    def straight(self) -> NDArray[Any]:
         """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
         alpha = self.alpha[..., None]
         colour = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
@@ -38,18 +40,18 @@ class Composited:
     depth [N], distance times opacity in units of the space (see `space_rays`). float32. samples: how many all rays took together, where
     that is known."""
 
-    colour: np.ndarray
-    features: np.ndarray
-    transmittance: np.ndarray
-    depth: np.ndarray
+    colour: NDArray[Any]
+    features: NDArray[Any]
+    transmittance: NDArray[Any]
+    depth: NDArray[Any]
     samples: int | None = None
 
-    def part(self, some: slice | np.ndarray) -> Composited:
+    def part(self, some: slice | NDArray[Any]) -> Composited:
         """Some of the rays."""
         return Composited(self.colour[some], self.features[some], self.transmittance[some], self.depth[some])
 
 
-def shade(network: ViewNetwork | None, rays: Composited, directions: np.ndarray) -> np.ndarray:
+def shade(network: ViewNetwork | None, rays: Composited, directions: NDArray[Any]) -> NDArray[Any]:
     """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is.
 
     directions: [N, 3] unit, in the axes in which the network was trained.
@@ -63,11 +65,11 @@ def shade(network: ViewNetwork | None, rays: Composited, directions: np.ndarray)
     return colour
 
 
-def residual(network: ViewNetwork, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def residual(network: ViewNetwork, colour: NDArray[Any], features: NDArray[Any], directions: NDArray[Any]) -> NDArray[Any]:
     """`view_residual` [N, 3] of many rays, STACK after STACK."""
     count = len(colour)
 
-    def stacked(values: np.ndarray) -> np.ndarray:
+    def stacked(values: NDArray[Any]) -> NDArray[Any]:
         whole = np.empty((-(-count // STACK) * STACK, values.shape[-1]), np.float32)
         whole[:count], whole[count:] = values, 0
         return whole.reshape(-1, STACK, values.shape[-1])

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 PRIMES = (2654435761, 805459861)
 
@@ -23,13 +24,13 @@ class HashGrid:
     log2_size: int = 17
 
     @cached_property
-    def resolutions(self) -> np.ndarray:
+    def resolutions(self) -> NDArray[Any]:
         """[levels] cells along an axis, growing geometrically."""
         growth = np.linspace(0, 1, self.levels) if self.levels > 1 else np.zeros(1)
         return np.floor(self.coarsest * (self.finest / self.coarsest) ** growth + 1e-6).astype(np.int64)
 
     @cached_property
-    def sizes(self) -> np.ndarray:
+    def sizes(self) -> NDArray[Any]:
         """[levels] vertices stored: all of them where they fit, else the hash table's size."""
         return np.minimum((self.resolutions + 2) ** 3, 2**self.log2_size)
 

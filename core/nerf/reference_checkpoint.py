@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.guard import check_file, reading
@@ -149,7 +150,7 @@ class _Packed:
     code: int
     data: bytes
 
-    def array(self) -> np.ndarray:
+    def array(self) -> NDArray[Any]:
         """Decode an array or a scalar. Raises ValueError on anything that does not add up."""
         import msgpack
 
@@ -165,7 +166,7 @@ class _Packed:
         return values.reshape(shape)
 
 
-def _array(value: Any) -> np.ndarray:
+def _array(value: Any) -> NDArray[Any]:
     """An array, whole or in chunks (flax splits what is over 2^30 bytes). Raises ValueError."""
     if isinstance(value, Mapping) and "__msgpack_chunked_array__" in value:
         chunks = [_array(chunk) for chunk in _listed(value["chunks"])]

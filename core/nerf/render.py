@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays, world_distance
@@ -37,8 +40,13 @@ def render_field(field: Field, camera: Camera, progress: Progress = silent) -> F
 
 
 def through_space(
-    field: Field, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, looking: np.ndarray, far: np.ndarray | float = np.inf
-) -> tuple[np.ndarray, np.ndarray]:
+    field: Field,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    near: NDArray[Any],
+    looking: NDArray[Any],
+    far: NDArray[Any] | float = np.inf,
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """`integrate` along rays [R, 3] of the field's space, with lengths in its units."""
     centre, scale = field.domain.centre, field.domain.scale
     gathered, through = integrate(field, (origins - centre) * scale, directions, near * scale, looking, far * scale)
@@ -47,8 +55,13 @@ def through_space(
 
 
 def integrate(
-    field: Field, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, looking: np.ndarray, far: np.ndarray | float = np.inf
-) -> tuple[np.ndarray, np.ndarray]:
+    field: Field,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    near: NDArray[Any],
+    looking: NDArray[Any],
+    far: NDArray[Any] | float = np.inf,
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Composite what a field holds along rays [R, 3] of its coordinates that look along `looking` [R, 3] in the world, a stretch after
     another, from `near` [R] as far as light reaches, or `far` [R].
 

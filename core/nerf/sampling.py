@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.box import Box
 from ..geometry.camera import Camera
@@ -26,24 +28,24 @@ class Domain:
     coordinates that holds anything.
     """
 
-    centre: np.ndarray
+    centre: NDArray[Any]
     scale: float
-    low: np.ndarray
-    high: np.ndarray
+    low: NDArray[Any]
+    high: NDArray[Any]
 
     @classmethod
-    def around(cls, low: np.ndarray, high: np.ndarray) -> Domain:
+    def around(cls, low: NDArray[Any], high: NDArray[Any]) -> Domain:
         """The domain whose longest side is [-1, 1] on the world's box `low`..`high` [3]."""
         centre = (low + high) / 2
         scale = 2 / float((high - low).max())
         half = (high - low) / 2 * scale
         return cls(centre, scale, -half, half)
 
-    def from_world(self, points: np.ndarray) -> np.ndarray:
+    def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
         return ((points - self.centre) * self.scale).astype(np.float32)
 
-    def to_world(self, x: np.ndarray) -> np.ndarray:
+    def to_world(self, x: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] float64."""
         return np.asarray(x, np.float64) / self.scale + self.centre
 
@@ -52,7 +54,7 @@ class Domain:
         return Box.axis_aligned(self.to_world(self.low), self.to_world(self.high))
 
 
-def carve(points: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None], radius: float) -> np.ndarray:
+def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None], radius: float) -> NDArray[Any]:
     """Which world points [N, 3] can hold something: seen by a camera, and outside no silhouette that shows them.
 
     masks: a camera's silhouette [H, W] bool, or None where its image has no alpha. radius: world units round a
@@ -76,7 +78,7 @@ def carve(points: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndar
     return result & seen
 
 
-def _footprint(camera: Camera, depth: np.ndarray, radius: float) -> int:
+def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
     """Pixels that `radius` covers at the nearest of the depths, at most an eighth of the picture."""
     if not len(depth):
         return 1
@@ -84,7 +86,7 @@ def _footprint(camera: Camera, depth: np.ndarray, radius: float) -> int:
     return int(min(np.ceil(max(camera.focal) * radius / nearest) + 1, max(camera.width, camera.height) / 8 + 1))
 
 
-def dilated(mask: np.ndarray, radius: int) -> np.ndarray:
+def dilated(mask: NDArray[Any], radius: int) -> NDArray[Any]:
     """True within `radius` pixels in the maximum norm."""
     for axis in (0, 1):
         total = np.cumsum(np.insert(mask, 0, False, axis=axis), axis=axis, dtype=np.int32)
@@ -96,7 +98,7 @@ def dilated(mask: np.ndarray, radius: int) -> np.ndarray:
     return mask
 
 
-def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> tuple[Domain, np.ndarray]:
+def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> tuple[Domain, NDArray[Any]]:
     """The tight domain of a capture and which of its occupancy cells can hold something, bool [CELLS^3] z fastest.
 
     Two looks: a coarse one over the whole box finds how far the silhouettes reach, a fine one fills the cells.
@@ -116,7 +118,7 @@ def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]
     return tight, alive if alive.any() else np.ones(CELLS**3, bool)
 
 
-def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray:
+def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
     """bool [cells^3]: cells of [-1, 1]^3 inside the box and the hull."""
     x = cell_centres(cells)
     margin = 1.0 / cells
@@ -131,13 +133,13 @@ def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera],
     return alive
 
 
-def cell_centres(cells: int) -> np.ndarray:
+def cell_centres(cells: int) -> NDArray[Any]:
     """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
     axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def estimates(value: np.ndarray, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
     """A copy of a training's estimates as its state holds them: float32, not negative, infinite where nobody looked. Raises ValueError."""
     if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
         raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
@@ -151,16 +153,16 @@ class Occupancy:
     nobody has looked yet, 0 in cells given up.
     """
 
-    def __init__(self, most: np.ndarray) -> None:
+    def __init__(self, most: NDArray[Any]) -> None:
         self.most = most
         self.cells = np.flatnonzero(most > 0)
 
     @classmethod
-    def of_hull(cls, alive: np.ndarray) -> Occupancy:
+    def of_hull(cls, alive: NDArray[Any]) -> Occupancy:
         """All that the hull allows, bool [CELLS^3], may hold something."""
         return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
 
-    def update(self, query: Callable[[np.ndarray], np.ndarray], count: int, rng: np.random.Generator) -> None:
+    def update(self, query: Callable[[NDArray[Any]], NDArray[Any]], count: int, rng: np.random.Generator) -> None:
         """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N]."""
         cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
         found = query(self.points_in(cells, rng))
@@ -175,18 +177,20 @@ class Occupancy:
         self.cells = np.flatnonzero(self.most > 0)
 
     @staticmethod
-    def points_in(cells: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def points_in(cells: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
         """A random point [N, 3] float32 in each of the cells [N]."""
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
     @property
-    def occupied(self) -> np.ndarray:
+    def occupied(self) -> NDArray[Any]:
         """bool [CELLS^3]."""
         return self.most > 0
 
 
-def clip_rays(domain: Domain, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def clip_rays(
+    domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: float | NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """Distances [N] at which rays (field coordinates, unit directions) enter and leave the domain; leave <= enter is a miss."""
     safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
     first = (domain.low - origins) / safe
@@ -200,23 +204,23 @@ class Samples:
     """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
     distance [N] along the ray. cut: [R] bool, rays that were told to end before they leave the domain."""
 
-    points: np.ndarray
-    ray: np.ndarray
+    points: NDArray[Any]
+    ray: NDArray[Any]
     length: float
-    distance: np.ndarray
-    cut: np.ndarray
+    distance: NDArray[Any]
+    cut: NDArray[Any]
 
 
 def pack_samples(
     domain: Domain,
-    occupied: np.ndarray,
-    origins: np.ndarray,
-    directions: np.ndarray,
+    occupied: NDArray[Any],
+    origins: NDArray[Any],
+    directions: NDArray[Any],
     length: float,
-    offset: np.ndarray,
-    near: float | np.ndarray = 0.0,
-    far: float | np.ndarray = np.inf,
-    until: float | np.ndarray = np.inf,
+    offset: NDArray[Any],
+    near: float | NDArray[Any] = 0.0,
+    far: float | NDArray[Any] = np.inf,
+    until: float | NDArray[Any] = np.inf,
 ) -> Samples:
     """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
 
@@ -239,14 +243,14 @@ BLOCK = 8  # steps that one look at the coarse level decides on
 
 
 def coarse_steps(
-    occupied: np.ndarray,
-    origins: np.ndarray,
-    directions: np.ndarray,
-    enter: np.ndarray,
+    occupied: NDArray[Any],
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    enter: NDArray[Any],
     length: float,
-    offset: np.ndarray,
-    counts: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+    offset: NDArray[Any],
+    counts: NDArray[Any],
+) -> tuple[NDArray[Any], NDArray[Any]]:
     """(ray, step) of every step that a coarser occupancy does not rule out, in order along each ray."""
     span = BLOCK * length
     blocks = -(-counts // BLOCK)
@@ -265,10 +269,10 @@ def coarse_steps(
     return ray[inside], step[inside]
 
 
-_coarser: dict[tuple[int, int, int], tuple[np.ndarray, np.ndarray]] = {}
+_coarser: dict[tuple[int, int, int], tuple[NDArray[Any], NDArray[Any]]] = {}
 
 
-def coarser(occupied: np.ndarray, span: float) -> tuple[np.ndarray, int]:
+def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
     """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
 
     The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
@@ -295,7 +299,7 @@ def coarser(occupied: np.ndarray, span: float) -> tuple[np.ndarray, int]:
     return kept[1], factor
 
 
-def cell_index(points: np.ndarray) -> np.ndarray:
+def cell_index(points: NDArray[Any]) -> NDArray[Any]:
     """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
     return (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from .model import ModelConfig, ViewNetwork, sigmoid, view_encoding, view_head, view_residual
@@ -12,7 +13,7 @@ from .model import ModelConfig, ViewNetwork, sigmoid, view_encoding, view_head, 
 NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
 
 
-def unit(directions: np.ndarray) -> np.ndarray:
+def unit(directions: NDArray[Any]) -> NDArray[Any]:
     """[N, 3] directions of length 1, as view dependence wants them (hard case 11). Raises SnergError where one has no direction."""
     length = np.linalg.norm(np.asarray(directions, np.float64), axis=-1, keepdims=True)
     if not (np.isfinite(length) & (length > 0)).all():

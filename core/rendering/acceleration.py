@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.scene import Scene
@@ -30,13 +32,13 @@ class Acceleration:
     that to the first tent that it shares with a neighbour; 0 where the tent itself holds something.
     """
 
-    voxels: np.ndarray
+    voxels: NDArray[Any]
     channels: int
     unit: float
-    brick_base: np.ndarray
-    brick_distance: np.ndarray
+    brick_base: NDArray[Any]
+    brick_distance: NDArray[Any]
     bricks: tuple[int, int, int]
-    voxel_skip: np.ndarray
+    voxel_skip: NDArray[Any]
 
 
 _tables: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
@@ -69,7 +71,7 @@ def build_acceleration(snerg: Scene) -> Acceleration:
     )
 
 
-def tent_bits(full: np.ndarray) -> np.ndarray:
+def tent_bits(full: NDArray[Any]) -> NDArray[Any]:
     """bool voxels [M, 32, 32, 32] to tents that hold something, uint32 [M, 32, 32] with z in the bits (z = 0 the lowest).
 
     Tents past the cell's last voxel (index 31) are only as full as what of them is in the cell; no sample reaches them.
@@ -81,7 +83,7 @@ def tent_bits(full: np.ndarray) -> np.ndarray:
     return bits
 
 
-def _bricks(indirection: np.ndarray, tents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _bricks(indirection: NDArray[Any], tents: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Acceleration`)."""
     masks = np.array([((1 << (BRICK + 1)) - 1) << (BRICK * i) for i in range(BRICKS)], np.uint32)
     found = (tents[..., None] & masks) != 0  # along z already by bricks: samples of brick i touch tents 6 i to 6 i + 6
@@ -100,7 +102,7 @@ def _bricks(indirection: np.ndarray, tents: np.ndarray) -> tuple[np.ndarray, np.
     return np.pad(occupied, (0, 1), mode="edge"), np.pad(base, (0, 1), mode="edge")
 
 
-def _voxel_skip(tents: np.ndarray) -> np.ndarray:
+def _voxel_skip(tents: NDArray[Any]) -> NDArray[Any]:
     """See `Acceleration`; at least 1 where nothing is, at most MAX_SKIP."""
     skip = np.zeros((len(tents), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
     reached = tents.copy()
@@ -112,7 +114,7 @@ def _voxel_skip(tents: np.ndarray) -> np.ndarray:
     return skip.reshape(-1)
 
 
-def _spread(bits: np.ndarray, distance: int) -> np.ndarray:
+def _spread(bits: NDArray[Any], distance: int) -> NDArray[Any]:
     """Tents [M, 32, 32] grown by one on each side, z in the bits. The block's neighbours may hold anything, and share its tents 0 and
     30, so that those count as reached, and all that are `distance` away from them."""
     bits = bits | (bits << np.uint32(1)) | (bits >> np.uint32(1))
@@ -129,7 +131,7 @@ def _spread(bits: np.ndarray, distance: int) -> np.ndarray:
     return bits
 
 
-def chebyshev(occupied: np.ndarray, most: int) -> np.ndarray:
+def chebyshev(occupied: NDArray[Any], most: int) -> NDArray[Any]:
     """Distance to the nearest True in the maximum norm, uint8, at most `most`."""
     if not occupied.any():
         return np.full(occupied.shape, min(most, 255), np.uint8)
@@ -144,7 +146,7 @@ def chebyshev(occupied: np.ndarray, most: int) -> np.ndarray:
     return distance
 
 
-def _wider(mask: np.ndarray, axis: int) -> np.ndarray:
+def _wider(mask: NDArray[Any], axis: int) -> NDArray[Any]:
     """True also where a neighbour along the axis is."""
     wide = mask.copy()
     ahead, back = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..nerf.model import ViewNetwork
 from ..scene.scene import Scene
@@ -40,7 +42,7 @@ def stop_for(tolerance: float, snerg: Scene, per_sample_network: bool) -> float:
     return min(tolerance / slope, 0.5)
 
 
-def steepness(network: ViewNetwork, low: np.ndarray, high: np.ndarray) -> float:
+def steepness(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
     """At most how far the residual moves when what the network sees of the ray [7] (colour over white, features) moves by something
     between `low` and `high`, whatever it sees: interval arithmetic on the difference. A ReLU moves by something between 0 and what
     its input moves by, the sigmoid by at most a quarter of that."""

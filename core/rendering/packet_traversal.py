@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.ndc import space_rays
 from ..scene.scene import Scene
@@ -13,7 +16,9 @@ from .ray_queue import Rays
 BUNDLE = 64  # neighbouring rays that go through empty space together
 
 
-def enter(snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def enter(
+    snerg: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Rays of the world in voxel coordinates, re-based to where they enter the grid.
 
     Returns point of entry and direction [3, N] (both float32), and the distances in voxels [N] at which the
@@ -43,7 +48,7 @@ def enter(snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float
 
 
 def approach(
-    tables: Acceleration, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, stop: np.ndarray, skip: bool, first: int = 0
+    tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], stop: NDArray[Any], skip: bool, first: int = 0
 ) -> Rays:
     """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter. first: the number
     of the first of them."""
@@ -59,8 +64,8 @@ def approach(
 
 
 def bundled(
-    tables: Acceleration, entry: np.ndarray, direction: np.ndarray, start: np.ndarray, ends: np.ndarray, ready: np.ndarray
-) -> np.ndarray:
+    tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], ends: NDArray[Any], ready: NDArray[Any]
+) -> NDArray[Any]:
     """How many samples of each ray [N] come before anything that its bundle could meet: float32, whole numbers.
 
     At a distance s a bundle is a cube around a ray of its own, which grows in proportion to s; the bundle goes on as long as that
@@ -69,7 +74,7 @@ def bundled(
     count = len(ends)
     groups = -(-count // BUNDLE)
 
-    def grouped(values: np.ndarray) -> np.ndarray:
+    def grouped(values: NDArray[Any]) -> NDArray[Any]:
         missing = groups * BUNDLE - count
         padded = np.concatenate([values, values[..., -1:].repeat(missing, axis=-1)], axis=-1) if missing else values
         return padded.reshape(*values.shape[:-1], groups, BUNDLE)
@@ -90,8 +95,8 @@ def bundled(
 
 
 def advance(
-    tables: Acceleration, centre: np.ndarray, along: np.ndarray, radius: np.ndarray, growth: np.ndarray, last: np.ndarray
-) -> np.ndarray:
+    tables: Acceleration, centre: NDArray[Any], along: NDArray[Any], radius: NDArray[Any], growth: NDArray[Any], last: NDArray[Any]
+) -> NDArray[Any]:
     """Distance [G] up to which a cube around centre + s * along, of half a side radius + s * growth (all [3, G]), meets nothing
     that is not empty; at least `last` where that is nowhere."""
     bricks = np.array(tables.bricks)[:, None]

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .acceleration import BRICK, STRIDES, Acceleration
 from .ray_queue import FEW, RayQueue, Rays
@@ -26,11 +28,11 @@ STILL = np.float32(1e-7)  # a direction with less than this along an axis takes 
 class Gathered:
     """Of all rays, written as they end: values [N, C] and transmittance [N], float32 (see `Rays`)."""
 
-    values: np.ndarray
-    through: np.ndarray
+    values: NDArray[Any]
+    through: NDArray[Any]
 
 
-Residual = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Residual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
 """(colour [n, 3] over white, features [n, 4], number of the ray [n]) to what view dependence adds to the colour [n, 3]."""
 
 
@@ -50,7 +52,7 @@ class RayMarcher:
         batch: int,
         stop: float,
         skip: bool = True,
-        visited: np.ndarray | None = None,
+        visited: NDArray[Any] | None = None,
         residual: Residual | None = None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -134,12 +136,12 @@ class RayMarcher:
         self.number = self.numbered(self.brick)
         self.tables.brick_distance.take(self.number, out=self.distance, mode="clip")
 
-    def numbers(self, point: np.ndarray) -> np.ndarray:
+    def numbers(self, point: NDArray[Any]) -> NDArray[Any]:
         """The bricks [n] that points [3, n] are in."""
         brick = point * np.float32(1 / BRICK)
         return self.numbered(np.trunc(brick, out=brick))
 
-    def numbered(self, brick: np.ndarray) -> np.ndarray:
+    def numbered(self, brick: NDArray[Any]) -> NDArray[Any]:
         """Numbers of bricks [n] from where they are [3, n]; computed in floats, of which the larger ones are for grids of 2^24 bricks."""
         _, y, z = self.tables.bricks
         place = np.multiply(brick[0], self.exact(y), dtype=self.exact)
@@ -163,7 +165,7 @@ class RayMarcher:
         np.trunc(ahead, out=ahead)
         ahead += 1
 
-    def look(self, near: np.ndarray) -> None:
+    def look(self, near: NDArray[Any]) -> None:
         """Rays [n] in bricks that hold something: jump within the brick, or take samples."""
         first, _ = self.tents(self.point.take(near, axis=1), self.number.take(near))
         distance = self.tables.voxel_skip.take(first)
@@ -176,7 +178,7 @@ class RayMarcher:
         for start in range(0, len(hit), SLICE // AHEAD):
             self.sample(hit[start : start + SLICE // AHEAD])
 
-    def tents(self, point: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def tents(self, point: NDArray[Any], number: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """First voxel [n] of the tents that points [3, n] in bricks [n] are in, and where in them [3, n], which overwrites the points."""
         point += np.float32(0.5)
         tent = np.trunc(point)
@@ -189,7 +191,7 @@ class RayMarcher:
         first += tent[0].astype(np.int64)
         return first, point
 
-    def sample(self, rows: np.ndarray) -> None:
+    def sample(self, rows: NDArray[Any]) -> None:
         """Composite the next AHEAD samples of rays [n] that stand where something is, front to back.
 
         Rays that meet something mostly go on doing so; taking several samples at once shares what is spent on each.
@@ -222,7 +224,7 @@ class RayMarcher:
         self.values.view(whole)[rows] = gathered.view(whole)
         self.ahead[rows] = AHEAD
 
-    def visit(self, first: np.ndarray, fraction: np.ndarray, used: np.ndarray, step: int, light: np.ndarray) -> None:
+    def visit(self, first: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any], step: int, light: NDArray[Any]) -> None:
         """Mark the voxels nearest to the samples [n] of one step that light still reached, where something is near."""
         assert self.visited is not None
         part = slice(step * len(light), (step + 1) * len(light))
@@ -230,7 +232,7 @@ class RayMarcher:
         some = some[self.tables.voxel_skip[first[some]] == 0]
         self.visited[first[some] + np.array(STRIDES) @ (fraction[:, some] >= 0.5)] = True
 
-    def shade(self, values: np.ndarray, index: np.ndarray) -> None:
+    def shade(self, values: NDArray[Any], index: NDArray[Any]) -> None:
         """Add view dependence to samples [n, C] of rays [n]."""
         assert self.residual is not None
         opaque = np.flatnonzero(values[:, -1] > 0)
@@ -251,7 +253,7 @@ class Interpolate:
         self.spare = np.empty(4 * SLICE * channels, np.float32)
         self.fractions = np.empty(SLICE * channels // 2, np.uint64)
 
-    def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    def __call__(self, first: NDArray[Any], fraction: NDArray[Any]) -> NDArray[Any]:
         """[n, C] float32, in units of the table; a view that the next call overwrites. At most SLICE samples."""
         count, channels = len(first), self.tables.channels
         values = self.values[: 8 * count * channels].reshape(8, -1)
@@ -267,14 +269,14 @@ class Interpolate:
             self.blend(values[:half], values[half : 2 * half], self.spread(fraction[axis]))
         return values[0].reshape(count, channels)
 
-    def blend(self, low: np.ndarray, high: np.ndarray, part: np.ndarray) -> None:
+    def blend(self, low: NDArray[Any], high: NDArray[Any], part: NDArray[Any]) -> None:
         """low becomes low + part * (high - low)."""
         between = self.spare[: low.size].reshape(low.shape)
         np.subtract(high, low, out=between)
         between *= part
         low += between
 
-    def spread(self, value: np.ndarray) -> np.ndarray:
+    def spread(self, value: NDArray[Any]) -> NDArray[Any]:
         """[n] float32 to [n * C], each C times, which is quickest two at a time."""
         both = value.view(np.uint32).astype(np.uint64)
         both |= both << np.uint64(32)

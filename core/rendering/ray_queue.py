@@ -5,8 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 FEW = 2048  # rays that one walk hands on to another: so few are as quick with those, and two walks in each other's way are not
 
@@ -20,13 +22,13 @@ class Rays:
     has been gathered, of which the last is the sum of t times the opacity that was seen there; float32.
     """
 
-    index: np.ndarray
-    moving: np.ndarray
-    light: np.ndarray
-    values: np.ndarray
+    index: NDArray[Any]
+    moving: NDArray[Any]
+    light: NDArray[Any]
+    values: NDArray[Any]
 
     @classmethod
-    def new(cls, index: np.ndarray, moving: np.ndarray, channels: int) -> Rays:
+    def new(cls, index: NDArray[Any], moving: NDArray[Any], channels: int) -> Rays:
         """Rays that have met nothing yet."""
         return cls(index, moving, np.ones(len(index), np.float32), np.zeros((len(index), channels), np.float32))
 
@@ -42,7 +44,7 @@ class Rays:
         """Those of a stretch; nothing is copied."""
         return Rays(self.index[rows], self.moving[:, rows], self.light[rows], self.values[rows])
 
-    def only(self, rows: np.ndarray) -> Rays:
+    def only(self, rows: NDArray[Any]) -> Rays:
         """Those of some rows."""
         return Rays(self.index.take(rows), self.moving.take(rows, axis=1), self.light.take(rows), self.values.take(rows, axis=0))
 

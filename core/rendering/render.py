@@ -11,8 +11,10 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..geometry.ndc import world_distance
@@ -94,7 +96,7 @@ def progressive(
     yield render_scene(snerg, camera, settings, within(progress, share, 1))
 
 
-def tiled(width: int, height: int) -> np.ndarray:
+def tiled(width: int, height: int) -> NDArray[Any]:
     """[N, 2] (column, row) of all pixels, tile by tile; tiles that reach past the picture's edge repeat the pixels there."""
     across, down = (np.minimum(np.arange(-(-size // TILE) * TILE), size - 1).reshape(-1, TILE) for size in (width, height))
     row, column = np.broadcast_arrays(down[:, None, :, None], across[None, :, None, :])
@@ -103,12 +105,12 @@ def tiled(width: int, height: int) -> np.ndarray:
 
 def march_rays(
     snerg: Scene,
-    origins: np.ndarray,
-    directions: np.ndarray,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
     near: float = 0.0,
-    visited: np.ndarray | None = None,
+    visited: NDArray[Any] | None = None,
 ) -> Composited:
     """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6).
 
@@ -120,12 +122,12 @@ def march_rays(
 
 def _march(
     snerg: Scene,
-    rays: Callable[[slice], tuple[np.ndarray, np.ndarray]],
+    rays: Callable[[slice], tuple[NDArray[Any], NDArray[Any]]],
     count: int,
     settings: MarchSettings,
     progress: Progress,
     near: float,
-    visited: np.ndarray | None = None,
+    visited: NDArray[Any] | None = None,
 ) -> Composited:
     """`march_rays` of rays that are made when their turn comes."""
     tables = acceleration_of(snerg)
@@ -134,7 +136,7 @@ def _march(
     sampled = snerg.network is not None and settings.per_sample_network
     views = np.empty((count if sampled else 0, 3), np.float32)
 
-    def entered(some: slice) -> tuple[np.ndarray, ...]:
+    def entered(some: slice) -> tuple[NDArray[Any], ...]:
         origins, directions = rays(some)
         if sampled:
             views[some] = directions @ snerg.view_rotation.T
@@ -146,7 +148,7 @@ def _march(
         begins[some] = start
         return approach(tables, entry, direction, start, stop, settings.skip, some.start)
 
-    def shaded(colour: np.ndarray, features: np.ndarray, index: np.ndarray) -> np.ndarray:
+    def shaded(colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
         assert snerg.network is not None
         return residual(snerg.network, colour, features, views[index])
 

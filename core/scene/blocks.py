@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 DATA_VOXELS = 30  # a macroblock's own voxels along an axis
 CELL_VOXELS = 32  # with the apron of one voxel on each side, as stored in the atlas
@@ -20,37 +22,37 @@ SLAB = 64  # blocks worked on together where a loop goes over all
 _ones = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
 
 
-def pack(own: np.ndarray) -> np.ndarray:
+def pack(own: NDArray[Any]) -> NDArray[Any]:
     """bool [M, 30, 30, 30] to uint32 [M, 30, 30]."""
     wide = np.pad(own, ((0, 0), (0, 0), (0, 0), (1, 1)))
     return np.packbits(wide, axis=-1, bitorder="little").view("<u4")[..., 0].astype(np.uint32)
 
 
-def unpack(bits: np.ndarray) -> np.ndarray:
+def unpack(bits: NDArray[Any]) -> NDArray[Any]:
     """uint32 [M, 30, 30] to bool [M, 30, 30, 30]."""
     bytes_ = np.ascontiguousarray(bits).astype("<u4")[..., None].view(np.uint8)
     return np.unpackbits(bytes_, axis=-1, bitorder="little")[..., 1:-1].astype(bool)
 
 
-def counts(bits: np.ndarray) -> np.ndarray:
+def counts(bits: NDArray[Any]) -> NDArray[Any]:
     """Voxels set in each block of a mask [M, 30, 30], int64 [M]."""
     return _ones[np.ascontiguousarray(bits).view(np.uint8)].sum(axis=(1, 2), dtype=np.int64)
 
 
-def places_of(indirection: np.ndarray) -> np.ndarray:
+def places_of(indirection: NDArray[Any]) -> NDArray[Any]:
     """Place [M, 3] of each block by its number; indirection: int32 [bx, by, bz], -1 where there is none."""
     place = np.argwhere(indirection >= 0)
     return place[np.argsort(indirection[indirection >= 0])]
 
 
-def number(mask: np.ndarray) -> np.ndarray:
+def number(mask: NDArray[Any]) -> NDArray[Any]:
     """bool [bx, by, bz] to int32: blocks that are kept numbered x, then y, then z (z fastest), others -1."""
     indirection = np.full(mask.shape, -1, np.int32)
     indirection[mask] = np.arange(int(mask.sum()), dtype=np.int32)
     return indirection
 
 
-def covered(first: np.ndarray, last: np.ndarray, blocks: tuple[int, ...]) -> np.ndarray:
+def covered(first: NDArray[Any], last: NDArray[Any], blocks: tuple[int, ...]) -> NDArray[Any]:
     """bool [bx, by, bz]: blocks in any of the ranges from places first to last [N, 3], both included, as far as they are in the grid.
 
     Each range is +1 and -1 at its corners, and sums along the axes fill it: as quick for one block a range as for the whole grid.
@@ -69,7 +71,7 @@ def covered(first: np.ndarray, last: np.ndarray, blocks: tuple[int, ...]) -> np.
     return filled[:-1, :-1, :-1] > 0
 
 
-def renumbered(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:
+def renumbered(values: NDArray[Any], old: NDArray[Any], new: NDArray[Any]) -> NDArray[Any]:
     """Rows [M, ...] of one indirection grid as those of another, 0 for blocks that the old one lacks."""
     moved = np.zeros((int(new.max(initial=-1)) + 1, *values.shape[1:]), values.dtype)
     both = (new >= 0) & (old >= 0)
@@ -77,7 +79,7 @@ def renumbered(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarr
     return moved
 
 
-def grow(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
+def grow(bits: NDArray[Any], indirection: NDArray[Any]) -> NDArray[Any]:
     """A mask [M, 30, 30] grown by a voxel in the maximum norm, across block borders."""
     wide = np.zeros((len(bits), CELL_VOXELS, CELL_VOXELS), np.uint32)
     wide[:, 1:-1, 1:-1] = bits
@@ -92,7 +94,7 @@ def grow(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
     return (wide[:, :, 1:-1] | wide[:, :, 2:] | wide[:, :, :-2]) & OWN
 
 
-def reach(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
+def reach(bits: NDArray[Any], indirection: NDArray[Any]) -> NDArray[Any]:
     """bool [bx, by, bz]: blocks in whose 32^3 a voxel of a mask [M, 30, 30] lies, their own or a neighbour's.
 
     Half a tent lies in a neighbour that may have no voxels of its own (hard case 34).
@@ -107,7 +109,7 @@ def reach(bits: np.ndarray, indirection: np.ndarray) -> np.ndarray:
     return reached[1:-1, 1:-1, 1:-1]
 
 
-def fill_aprons(cells: np.ndarray, indirection: np.ndarray) -> Iterator[int]:
+def fill_aprons(cells: NDArray[Any], indirection: NDArray[Any]) -> Iterator[int]:
     """Copy into the aprons of cells [M, 32, 32, 32, ...] their neighbours' voxels, in place; yields how many cells are done."""
     for start in range(0, len(cells), SLAB):
         rows = np.arange(start, min(start + SLAB, len(cells)))
@@ -117,7 +119,7 @@ def fill_aprons(cells: np.ndarray, indirection: np.ndarray) -> Iterator[int]:
         yield int(rows[-1]) + 1
 
 
-def _neighbours(indirection: np.ndarray, rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, tuple[int, int, int]]]:
+def _neighbours(indirection: NDArray[Any], rows: NDArray[Any]) -> Iterator[tuple[NDArray[Any], NDArray[Any], tuple[int, int, int]]]:
     """For each offset (x, y, z): which of the blocks `rows` have a neighbour there, its number, and the offset."""
     place = places_of(indirection)[rows]
     padded = np.pad(indirection, 1, constant_values=-1)

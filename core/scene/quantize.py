@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 THIN = 12  # levels of alpha below which rounding is dithered
 
 
-def quantize(values: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def quantize(values: NDArray[Any], noise: NDArray[Any]) -> NDArray[Any]:
     """Values premultiplied by alpha, alpha last, [N, C] in [0, 1] to uint8; noise: [N, C] in [0, 1).
 
     Rounded to nearest, except thin fog: there a level is a large step and rounding would turn a fog of 0.7 into

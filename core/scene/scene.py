@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -35,13 +36,13 @@ class Scene:
     about: where the scene came from and what its bake measured; JSON values.
     """
 
-    grid_to_world: np.ndarray
+    grid_to_world: NDArray[Any]
     voxel_size: float
     shape: tuple[int, int, int]
-    indirection: np.ndarray
-    cells: np.ndarray
+    indirection: NDArray[Any]
+    cells: NDArray[Any]
     network: ViewNetwork | None
-    view_rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
+    view_rotation: NDArray[Any] = field(default_factory=lambda: np.eye(3))
     near: float = 0.0
     about: dict[str, Any] = field(default_factory=dict)
     ndc: Ndc | None = None

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -22,7 +24,7 @@ class VoxelGrid:
     grid_to_world, voxel_size, shape: as in Scene.
     """
 
-    grid_to_world: np.ndarray
+    grid_to_world: NDArray[Any]
     voxel_size: float
     shape: tuple[int, int, int]
 
@@ -49,21 +51,21 @@ class VoxelGrid:
         x, y, z = (-(-n // 2) for n in self.shape)
         return VoxelGrid(self.grid_to_world, 2 * self.voxel_size, (x, y, z))
 
-    def points(self, voxels: np.ndarray) -> np.ndarray:
+    def points(self, voxels: NDArray[Any]) -> NDArray[Any]:
         """Centres [N, 3] float64 of voxels given by (possibly fractional) index [N, 3]."""
         local = (voxels + 0.5) * self.voxel_size
         return local @ self.grid_to_world[:3, :3].T + self.grid_to_world[:3, 3]
 
     @cached_property
-    def _of_first_block(self) -> np.ndarray:
+    def _of_first_block(self) -> NDArray[Any]:
         return self.points(np.indices((DATA_VOXELS,) * 3).reshape(3, -1).T) - self.grid_to_world[:3, 3]
 
-    def centres(self, places: np.ndarray) -> np.ndarray:
+    def centres(self, places: NDArray[Any]) -> NDArray[Any]:
         """Centres [B * 27000, 3] float64 of the voxels of blocks at places [B, 3], z fastest."""
         corners = self.points(places * DATA_VOXELS - 0.5)
         return (corners[:, None] + self._of_first_block).reshape(-1, 3)
 
-    def clear_outside(self, values: np.ndarray, places: np.ndarray) -> None:
+    def clear_outside(self, values: NDArray[Any], places: NDArray[Any]) -> None:
         """Set to 0, in blocks [B, 30, 30, 30, ...] at places [B, 3], what lies past the lattice's last voxel."""
         left = np.array(self.shape) - places * DATA_VOXELS
         for row in np.flatnonzero((left < DATA_VOXELS).any(axis=-1)):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from ..io.images import to_uint8
@@ -14,12 +16,12 @@ PAPER, INK = (38, 38, 42), (235, 235, 235)
 GAIN = 10
 
 
-def error_picture(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def error_picture(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     """Ten times the difference of two pictures, cut off at 1."""
     return np.clip(GAIN * np.abs(a - b), 0, 1)
 
 
-def contact_sheet(rows: Sequence[tuple[str, Sequence[np.ndarray]]], titles: Sequence[str], most: int = 10**6) -> np.ndarray:
+def contact_sheet(rows: Sequence[tuple[str, Sequence[NDArray[Any]]]], titles: Sequence[str], most: int = 10**6) -> NDArray[Any]:
     """uint8 [H, W, 3]: a row of pictures [h, w, 3] in [0, 1] for each (name, pictures), titled; none wider than `most` pixels."""
     shown = [(name, [_fitted(picture, most) for picture in pictures]) for name, pictures in rows]
     width = max((picture.width for _, pictures in shown for picture in pictures), default=1)
@@ -34,7 +36,7 @@ def contact_sheet(rows: Sequence[tuple[str, Sequence[np.ndarray]]], titles: Sequ
     return np.asarray(sheet)
 
 
-def _fitted(picture: np.ndarray, most: int) -> Image.Image:
+def _fitted(picture: NDArray[Any], most: int) -> Image.Image:
     image = Image.fromarray(to_uint8(picture))
     if image.width <= most:
         return image

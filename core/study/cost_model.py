@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..baking.bake import AUTO, BakeSettings, check_lengths
 from ..baking.memory import blocks_met
@@ -151,7 +152,7 @@ def _looking(survey: FieldProbe, voxel_grid: VoxelGrid) -> float:
     return rates.eye * len(survey.field.cameras) + look * rays_of(survey.field, voxel_grid)
 
 
-def _points(survey: FieldProbe, table: np.ndarray, inside: np.ndarray, voxel: float) -> float:
+def _points(survey: FieldProbe, table: NDArray[Any], inside: NDArray[Any], voxel: float) -> float:
     """How many of the points inside a box a table [S, M] says yes to, between its voxel sizes; by all points where few are inside."""
     count = int(inside.sum())
     here, all_ = table[:, inside].sum(axis=1), table.mean(axis=1)

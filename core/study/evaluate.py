@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..artifact import Result, any_field, any_scene, kind_of
 from ..data.dataset import Dataset, DatasetOptions
@@ -134,7 +135,7 @@ def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, flo
     return background_of(known), dataset, options_of(known)
 
 
-def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> np.ndarray:
+def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:
     """Render and score every view; with a folder, keep each picture there. Returns the contact sheet."""
     count, rows = len(views.views), []
     shown = set(np.linspace(0, count - 1, min(count, SHEET_VIEWS)).round().astype(int).tolist())
@@ -161,7 +162,9 @@ class Score:
         self.seconds: list[float] = []
         self.names: list[str] = []
 
-    def add(self, picture: np.ndarray, truth: np.ndarray, seconds: float = 0.0, mask: np.ndarray | None = None, name: str = "") -> None:
+    def add(
+        self, picture: NDArray[Any], truth: NDArray[Any], seconds: float = 0.0, mask: NDArray[Any] | None = None, name: str = ""
+    ) -> None:
         """A view [H, W, 3] and what it should be; mask: [H, W] bool, the pixels that count."""
         self.errors.append(mse(picture, truth, mask))
         self.likeness.append(ssim(picture, truth, mask))

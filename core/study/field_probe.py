@@ -10,6 +10,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..baking.bake import BakeSettings, bake, check_field
 from ..baking.jitter import voxel_uniform
@@ -92,14 +93,14 @@ class FieldProbe:
 
     field: Field
     coarse: Field
-    points: np.ndarray
+    points: NDArray[Any]
     share: float
-    inside: np.ndarray
-    voxels: np.ndarray
-    held: np.ndarray
-    kept: np.ndarray
+    inside: NDArray[Any]
+    voxels: NDArray[Any]
+    held: NDArray[Any]
+    kept: NDArray[Any]
     samples: tuple[int, ...]
-    filled: tuple[np.ndarray, float]
+    filled: tuple[NDArray[Any], float]
     pilot: float
     rates: Rates
     seconds: float
@@ -142,7 +143,7 @@ def coarse(field: Field) -> Field:
     return field
 
 
-def points_of(field: Field, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+def points_of(field: Field, rng: np.random.Generator) -> tuple[NDArray[Any], float]:
     """Points [M, 3] drawn evenly from the field's occupied cells and their neighbours, and the volume that each stands for."""
     wide = np.ones((CELLS,) * 3, bool) if field.occupancy is None else field.occupancy.reshape((CELLS,) * 3).copy()
     for axis in range(3):
@@ -153,7 +154,7 @@ def points_of(field: Field, rng: np.random.Generator) -> tuple[np.ndarray, float
     return field.domain.to_world(x), len(cells) * (2 / CELLS / field.domain.scale) ** 3 / POINTS
 
 
-def bordering(field: Field, points: np.ndarray, voxel: float) -> tuple[np.ndarray, float]:
+def bordering(field: Field, points: NDArray[Any], voxel: float) -> tuple[NDArray[Any], float]:
     """[M] bool: whether a voxel round each point, or one of its 26 neighbours, holds more than a bake leaves out; and the seconds
     that the field took a point."""
     around = np.array(list(product((-1, 0, 1), repeat=3))) * voxel
@@ -171,7 +172,7 @@ def together(work: Callable[[Any], Any], parts: Sequence[Any]) -> tuple[list[Any
         return done, time.perf_counter() - began
 
 
-def _reached(field: Field, points: np.ndarray, held: np.ndarray, voxels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _reached(field: Field, points: NDArray[Any], held: NDArray[Any], voxels: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
     """[S, M] bool: `seen` of SEEN of the points that hold something; of the others as large a share, anyhow."""
     some = np.flatnonzero(held.any(axis=0))
     some = some[:: max(1, len(some) // SEEN)]
@@ -182,7 +183,7 @@ def _reached(field: Field, points: np.ndarray, held: np.ndarray, voxels: np.ndar
     return reached
 
 
-def seen(field: Field, points: np.ndarray, voxels: np.ndarray) -> np.ndarray:
+def seen(field: Field, points: NDArray[Any], voxels: NDArray[Any]) -> NDArray[Any]:
     """[S, M] bool: whether light comes from points (of the field's space) to one of a few cameras, by a grid of a density a cell.
 
     The first FREE voxels of the way count for nothing: so far does what is seen reach round what a ray meets (visibility.py).
@@ -206,7 +207,7 @@ def seen(field: Field, points: np.ndarray, voxels: np.ndarray) -> np.ndarray:
     return least <= -np.log(BakeSettings().visibility_threshold)
 
 
-def _grid(field: Field) -> np.ndarray:
+def _grid(field: Field) -> NDArray[Any]:
     """Density float32 [CELLS^3], per unit of field coordinates, at the centres of occupied cells, of every eighth where they are many."""
     cells = np.arange(CELLS**3) if field.occupancy is None else np.flatnonzero(field.occupancy)
     index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
@@ -218,7 +219,7 @@ def _grid(field: Field) -> np.ndarray:
     return density
 
 
-def _way(field: Field, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _way(field: Field, points: NDArray[Any], camera: Camera) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Which points [M, 3] of the field's space are in a camera's picture [M], and the unit way [M, 3] and its length [M] to it there."""
     world = points if field.ndc is None else field.ndc.to_world(points)
     along = camera.toward(world)
@@ -228,7 +229,7 @@ def _way(field: Field, points: np.ndarray, camera: Camera) -> tuple[np.ndarray, 
     return camera.shows(world), -toward, np.linalg.norm(points - origin, axis=-1) - near
 
 
-def fitting(field: Field, box: Box, points: np.ndarray, voxel: float, rng: np.random.Generator) -> int:
+def fitting(field: Field, box: Box, points: NDArray[Any], voxel: float, rng: np.random.Generator) -> int:
     """Samples a voxel that a bake would choose: as it does, by fewer rays, from some of the points [M, 3] that are kept."""
     if not len(points):
         return 1
@@ -250,7 +251,7 @@ def pilot(field: Field, box: Box, resolution: int) -> Scene:
     return bake(field, box, field.cameras[:: max(1, len(field.cameras) // 4)], settings)
 
 
-def timed(field: Field, voxel_grid: VoxelGrid, points: np.ndarray, start: float, query: float, small: Scene, coarser: Scene) -> Rates:
+def timed(field: Field, voxel_grid: VoxelGrid, points: NDArray[Any], start: float, query: float, small: Scene, coarser: Scene) -> Rates:
     """What this machine takes for parts of a bake on a lattice, some of whose kept voxels are round points [N, 3], and of a march.
 
     small, coarser: bakes of the field, the second half as fine.
@@ -316,7 +317,7 @@ def _count(camera: Camera) -> int:
     return -(-camera.width // TILE) * -(-camera.height // TILE) * TILE**2
 
 
-def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def _rays(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
     return camera.rays(tiled(camera.width, camera.height))
 
 
@@ -373,7 +374,7 @@ def outside(box: Box) -> Camera:
     return Camera(WIDTH, WIDTH, (1.4 * WIDTH, 1.4 * WIDTH), (WIDTH / 2, WIDTH / 2), pose)
 
 
-def _filled(snerg: Scene) -> tuple[np.ndarray, float]:
+def _filled(snerg: Scene) -> tuple[NDArray[Any], float]:
     """Centres [N, 3] and the size of cubes, not too many, that hold something."""
     row, *local = np.nonzero(snerg.cells[:, 1:-1, 1:-1, 1:-1, -1])
     voxel, size = places_of(snerg.indirection)[row] * DATA_VOXELS + np.stack(local, axis=-1), 1

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.files import write_arrays
@@ -51,14 +52,14 @@ def check_survey(path: Path) -> None:
     raise SnergError(f"{path} is there already, and is no look at a field; name another file to keep one in, or delete it.")
 
 
-def opened(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """A survey's JSON value and arrays. Raises SnergError where it cannot be read."""
     with reading(path, "delete it"):
         kept = read_arrays(path, MAX_BYTES)
         return record(json.loads(str(kept.pop("about"))), "about"), kept
 
 
-def check(about: dict[str, Any], found: dict[str, np.ndarray]) -> dict[str, Any]:
+def check(about: dict[str, Any], found: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """What a survey holds beside its fields, by its names. Raises ValueError, or anything else, on what `write_survey` does not write."""
     m, s, n = len(found["points"]), len(found["voxels"]), len(found["filled"])
     shapes = {"points": (m, 3), "inside": (m,), "voxels": (s,), "held": (s, m), "kept": (s, m), "samples": (s,), "filled": (n, 3)}

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 
@@ -14,7 +16,7 @@ SIGMA = 1.5
 K1, K2 = 0.01, 0.03
 
 
-def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
+def mse(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> float:
     """Mean squared error of two pictures [H, W, C] in [0, 1], computed in float64. mask: [H, W] bool, the pixels that count.
 
     Raises SnergError when their shapes differ, a value is not finite, or no pixel counts.
@@ -30,7 +32,7 @@ def mse(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     return error
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
+def psnr(a: NDArray[Any], b: NDArray[Any]) -> float:
     """Peak signal-to-noise ratio in dB of pictures in [0, 1]; infinite for identical ones (hard case 30)."""
     return psnr_of(mse(a, b))
 
@@ -51,7 +53,7 @@ def mean_psnr(errors: Iterable[float]) -> float:
     return psnr_of(sum(values) / len(values))
 
 
-def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
+def ssim(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> float:
     """Structural similarity (Wang et al. 2004) of pictures [H, W, C] in [0, 1], mean over pixels and channels.
 
     An 11 x 11 Gaussian of sigma 1.5, only where it fits whole. mask: [H, W] bool, the pixels that count; around them, within
@@ -74,7 +76,7 @@ def ssim(a: np.ndarray, b: np.ndarray, mask: np.ndarray | None = None) -> float:
     return float(likeness[counted].mean() if counted is not None and counted.any() else likeness.mean())
 
 
-def blur(x: np.ndarray) -> np.ndarray:
+def blur(x: NDArray[Any]) -> NDArray[Any]:
     """[H, W, C] convolved with the Gaussian where it fits: [H - 10, W - 10, C]."""
     taps = np.exp(-0.5 * ((np.arange(WINDOW) - WINDOW // 2) / SIGMA) ** 2)
     taps /= taps.sum()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ..io.files import write_bytes
@@ -202,7 +203,7 @@ def _equal_time(found: Findings, pictures: Path) -> str:
     return "<h2>At equal time</h2>" + "".join(parts) if parts else ""
 
 
-def most_different(a: np.ndarray, b: np.ndarray) -> tuple[slice, slice]:
+def most_different(a: NDArray[Any], b: NDArray[Any]) -> tuple[slice, slice]:
     """Where a window of CROP pixels differs most, of two pictures [H, W, 3]."""
     error = ((a.astype(np.float32) - b.astype(np.float32)) ** 2).sum(axis=-1)
     sums = np.pad(error.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
@@ -212,7 +213,7 @@ def most_different(a: np.ndarray, b: np.ndarray) -> tuple[slice, slice]:
     return slice(int(top), int(top) + height), slice(int(left), int(left) + width)
 
 
-def enlarged(picture: np.ndarray) -> np.ndarray:
+def enlarged(picture: NDArray[Any]) -> NDArray[Any]:
     """ZOOM times as large, pixels as squares."""
     image = Image.fromarray(np.ascontiguousarray(picture[..., :3]))
     return np.asarray(image.resize((ZOOM * image.width, ZOOM * image.height), Image.Resampling.NEAREST))
@@ -271,7 +272,7 @@ def _figure(plots: dict[str, dict[str, bytes]], name: str, caption: str) -> str:
     return f'<figure><img alt="{name}" src="data:image/svg+xml;base64,{data}"><figcaption>{escape(caption)}</figcaption></figure>'
 
 
-def _image(picture: np.ndarray) -> str:
+def _image(picture: NDArray[Any]) -> str:
     return f'<img alt="" width={picture.shape[1]} src="data:image/png;base64,{base64.b64encode(png_bytes(picture)).decode()}">'
 
 

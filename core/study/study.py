@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..artifact import Result, any_field, any_scene, kind_of
 from ..baking.bake import BakeSettings
@@ -312,7 +313,7 @@ def write(found: Findings, out: Path) -> None:
     write_bytes(out / "report.html", html(found, plots, out / "pictures").encode())
 
 
-def beside_the_truth(found: Findings, pictures: Path) -> np.ndarray:
+def beside_the_truth(found: Findings, pictures: Path) -> NDArray[Any]:
     """uint8 [H, W, 3]: one view of some configurations of the front, from the best on, beside the truth."""
     truth = read_image(pictures / "truth.png")[..., :3].astype(np.float32) / 255
     marked = sorted(found.front, key=lambda row: -row["psnr"])

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..artifact import any_field
 from ..baking.bake_field import bake_field
@@ -78,7 +79,7 @@ class Sweep:
     # What is there to begin with
 
     @cached_property
-    def truth(self) -> list[np.ndarray]:
+    def truth(self) -> list[NDArray[Any]]:
         """The held-out pictures [H, W, 3] in [0, 1] over the background."""
         return [over(self.subject.views.read(index), self.subject.background) for index in range(len(self.subject.views.views))]
 
@@ -185,7 +186,7 @@ class Sweep:
         each = [100.0 if view["psnr"] is None else view["psnr"] for view in score.views()]
         return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
 
-    def _show(self, key: str, picture: np.ndarray, truth: np.ndarray) -> None:
+    def _show(self, key: str, picture: NDArray[Any], truth: NDArray[Any]) -> None:
         """Keep a row's picture, and once what all of them are compared with."""
         folder = self.out / "pictures"
         folder.mkdir(exist_ok=True)

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.box import Box
@@ -54,7 +55,7 @@ def decided(
     return Decision(effect, chosen, evidence, value, threshold, setting != "auto")
 
 
-def transparency(setting: str, pixels: np.ndarray, has_alpha: bool) -> Decision:
+def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decision:
     """Whether the images' alpha says where the scene is. pixels: [N, 4] uint8; has_alpha: whether every image has it.
 
     Raises SnergError when the settings want alpha that there is not.
@@ -86,8 +87,8 @@ def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) ->
 def forward_facing(
     setting: str,
     cameras: Sequence[Camera],
-    points: np.ndarray | None,
-    bounds: np.ndarray | None,
+    points: NDArray[Any] | None,
+    bounds: NDArray[Any] | None,
     alpha: bool,
 ) -> tuple[Decision, Ndc | None]:
     """Whether normalised device coordinates suit the capture, and which.
@@ -127,7 +128,7 @@ def forward_facing(
     return decision, Ndc(frame, (float(focal[0]), float(focal[1])), near * NEARER)
 
 
-def mean_frame(cameras: Sequence[Camera]) -> np.ndarray:
+def mean_frame(cameras: Sequence[Camera]) -> NDArray[Any]:
     """[4, 4] rigid: the mean of the cameras' axes, made orthonormal, at the mean of their positions."""
     u, _, vt = np.linalg.svd(np.mean([c.camera_to_world[:3, :3] for c in cameras], axis=0))
     frame = np.eye(4)
@@ -137,7 +138,7 @@ def mean_frame(cameras: Sequence[Camera]) -> np.ndarray:
 
 
 def _depths(
-    frame: np.ndarray, cameras: Sequence[Camera], points: np.ndarray | None, bounds: np.ndarray | None
+    frame: NDArray[Any], cameras: Sequence[Camera], points: NDArray[Any] | None, bounds: NDArray[Any] | None
 ) -> tuple[float | None, float | None]:
     """Nearest and farthest depth of the scene along the frame's axis; None where the source knows neither."""
     if bounds is not None:
@@ -149,7 +150,7 @@ def _depths(
     return float(np.percentile(depth, 0.5)), float(np.percentile(depth, 99.5))
 
 
-def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, np.ndarray]:
+def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[Any]]:
     """The domain of a forward-facing capture, what the cameras see of device coordinates, and its cells that one sees, bool [CELLS^3]."""
     ends = []
     for camera in cameras:
@@ -174,7 +175,7 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, np.ndarray
     return domain, grown.reshape(-1) & inside
 
 
-def disparity(setting: str, domain: Domain, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, ndc: bool) -> Decision:
+def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], ndc: bool) -> Decision:
     """Whether samples at equal distances in 1 / distance serve better than in distance.
 
     origins, directions, near: rays in field coordinates. setting: 'auto', 'linear' or 'disparity'.
@@ -193,7 +194,7 @@ def disparity(setting: str, domain: Domain, origins: np.ndarray, directions: np.
 
 
 def sampling(
-    settings: TrainSettings, domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray
+    settings: TrainSettings, domain: Domain, alive: NDArray[Any], origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any]
 ) -> Decision:
     """Whether a second network must look where the first one found something.
 
@@ -211,7 +212,7 @@ def sampling(
     return decided("Hierarchical sampling", settings.hierarchy, needed > settings.coarse, evidence, needed, settings.coarse)
 
 
-def share_filled(domain: Domain, alive: np.ndarray, origins: np.ndarray, directions: np.ndarray, near: np.ndarray) -> float:
+def share_filled(domain: Domain, alive: NDArray[Any], origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any]) -> float:
     """Share of the way of rays (field coordinates) through the domain that lies in cells which may hold something."""
     step = 4 / CELLS
     enter, leave = clip_rays(domain, origins, directions, near)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..nerf.field import in_chunks
@@ -36,7 +37,7 @@ class HierarchicalSampler:
     The occupancy grid takes no part in sampling: it says where the trained field holds something.
     """
 
-    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = alive
@@ -51,7 +52,7 @@ class HierarchicalSampler:
             self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
             self.occupied = self._occupied()
 
-    def density(self, params: Any, x: np.ndarray) -> np.ndarray:
+    def density(self, params: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Density [N] at field coordinates [N, 3]."""
         return in_chunks(lambda part: (self._density(params["field"], part),), x, QUERY)[0]
 
@@ -70,7 +71,7 @@ class HierarchicalSampler:
         coarse, fine = self.settings.coarse, 0 if self.settings.hierarchy == "off" else self.settings.coarse + self.settings.fine
         return Batch(arrays, rays * (coarse + fine), rays)
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
         """What the field shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
         arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
         count, some = len(rays.near), self.settings.rays_at_once
@@ -82,7 +83,7 @@ class HierarchicalSampler:
         return np.where(arrays["used"][:, None], np.concatenate(seen)[:count], rays.background)
 
     def _arrays(
-        self, origins: np.ndarray, directions: np.ndarray, near: np.ndarray, far: np.ndarray, looking: np.ndarray
+        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], far: NDArray[Any], looking: NDArray[Any]
     ) -> dict[str, Any]:
         """Rays [R] as `render_rays` wants them, and which are "used": those that meet the domain."""
         near, leave = clip_rays(self.domain, origins, directions, near)
@@ -101,16 +102,16 @@ class HierarchicalSampler:
         """See `rays_loss`, over all rays of a batch or of a device's part of it."""
         return rays_loss(self.settings, self.pool.alpha, params, batch)
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs beside the parameters."""
         return {"most": self.occupancy.most}
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Undo `state`."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self._occupied()
 
-    def _occupied(self) -> np.ndarray:
+    def _occupied(self) -> NDArray[Any]:
         """bool [CELLS^3]: where an interval of the final spacing has an opacity of 0.01 or more, or nobody has looked."""
         return self.occupancy.most > 0.01 / self.settings.spacing
 

@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
@@ -30,19 +31,19 @@ def softness(weights: Any) -> Any:
     return weights * (1 - weights)
 
 
-def plain_colour(name: str) -> np.ndarray | None:
+def plain_colour(name: str) -> NDArray[Any] | None:
     """The colour, uint8 [3], of a background called 'white', 'black' or '#rrggbb'; None for 'random', which is a new one each ray."""
     value = {"white": "#ffffff", "black": "#000000"}.get(name, name)
     return np.array(list(bytes.fromhex(value[1:])), np.uint8) if re.fullmatch("#[0-9a-fA-F]{6}", value) else None
 
 
-def shown_over(name: str) -> np.ndarray:
+def shown_over(name: str) -> NDArray[Any]:
     """The colour, float32 [3] in [0, 1], behind what a field is measured on: its training's; white where that is 'random'."""
     colour = plain_colour(name)
     return np.ones(3, np.float32) if colour is None else colour.astype(np.float32) / 255
 
 
-def backgrounds(name: str, rays: int, rng: np.random.Generator) -> np.ndarray:
+def backgrounds(name: str, rays: int, rng: np.random.Generator) -> NDArray[Any]:
     """Colours [rays, 3] float32 behind rays, see `plain_colour`."""
     colour = plain_colour(name)
     if colour is None:

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.schema import positive
@@ -46,16 +47,16 @@ class Drawn:
     """The rays of a batch: tile [rays drawn], blind [rays drawn] bool, cut before their first sample, and of each of the
     batch's samples the ray [N] and the distance along it [N]."""
 
-    tile: np.ndarray
-    blind: np.ndarray
-    ray: np.ndarray
-    distance: np.ndarray
+    tile: NDArray[Any]
+    blind: NDArray[Any]
+    ray: NDArray[Any]
+    distance: NDArray[Any]
 
 
 class OccupancySampler:
     """Draws rays, packs samples of what may hold something, and learns where that is."""
 
-    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = self.occupancy.occupied
@@ -81,16 +82,16 @@ class OccupancySampler:
             self.occupancy.prune(0.01 / self.settings.spacing)
         self.occupied = self.occupancy.occupied
 
-    def density(self, params: Any, x: np.ndarray) -> np.ndarray:
+    def density(self, params: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Density [N] at field coordinates [N, 3]."""
         field = params["field"]
         return in_chunks(lambda part: self._outputs(field, self._inputs(part))[:1], x, self.settings.samples)[0]
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
         """Colours [R, 3] of rays over their background, at the present spacing."""
         field = params["field"]
 
-        def evaluate(x: np.ndarray) -> tuple[np.ndarray, ...]:
+        def evaluate(x: NDArray[Any]) -> tuple[NDArray[Any], ...]:
             return in_chunks(lambda part: self._outputs(field, self._inputs(part)), x, self.settings.samples)
 
         return packed_colours(self.settings, self.domain, self.occupied, self.spacing(fraction), evaluate, params, rays)
@@ -146,11 +147,11 @@ class OccupancySampler:
         """See `batch_loss`."""
         return batch_loss(self.settings, self.pool.alpha, params, batch)
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs beside the parameters."""
         return {"most": self.occupancy.most, "reach": self.ends.reach, "samples_per_ray": np.array(self.samples_per_ray)}
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Undo `state`."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self.occupancy.occupied
@@ -192,7 +193,7 @@ def coarse_share(settings: TrainSettings) -> float:
     return float(min(1.0, minutes**-0.4))
 
 
-def filled(size: int, values: np.ndarray, rest: Any = 0) -> np.ndarray:
+def filled(size: int, values: NDArray[Any], rest: Any = 0) -> NDArray[Any]:
     """The values [n, ...] and then `rest`, [size, ...] in all."""
     result = np.empty((size, *values.shape[1:]), values.dtype)
     result[: len(values)] = values

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jax.experimental import multihost_utils
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from .config import TrainSettings
@@ -101,7 +102,7 @@ def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[
     room = -(-size // parts) + longest
     cuts = [int(np.searchsorted(ray[:count], ray[p * count // parts])) if count else 0 for p in range(parts)] + [count]
 
-    def cut(array: Any, fill: int = 0) -> np.ndarray:
+    def cut(array: Any, fill: int = 0) -> NDArray[Any]:
         """[..., size, ...] to [parts, ..., room, ...]."""
         array = np.asarray(array)
         axis = array.shape.index(size)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
@@ -22,10 +24,10 @@ class RayDataset:
 
     def __init__(
         self,
-        images: Iterable[np.ndarray],
+        images: Iterable[NDArray[Any]],
         cameras: Sequence[Camera],
         domain: Domain,
-        masks: Sequence[np.ndarray | None] | None = None,
+        masks: Sequence[NDArray[Any] | None] | None = None,
         ndc: Ndc | None = None,
     ) -> None:
         """images: one at a time, uint8 [H, W, 3 or 4] of its camera's size. masks: a view's [H, W] bool, False where a pixel is
@@ -52,7 +54,7 @@ class RayDataset:
         straight = Distortion("opencv")
         self.lenses = Lenses([k or straight for k in kinds]) if kinds != [None] else None
 
-    def _fill(self, images: Iterable[np.ndarray]) -> bool:
+    def _fill(self, images: Iterable[NDArray[Any]]) -> bool:
         """Put the images in their places, and say whether they have an alpha that varies."""
         everywhere, varies = True, False
         for start, end, image in zip(self.starts, self.ends, images, strict=True):
@@ -63,7 +65,7 @@ class RayDataset:
             varies = varies or bool((place[:, 3] < 255).any())
         return everywhere and varies
 
-    def keep_near(self, silhouettes: Sequence[np.ndarray], masks: Sequence[np.ndarray | None]) -> None:
+    def keep_near(self, silhouettes: Sequence[NDArray[Any]], masks: Sequence[NDArray[Any] | None]) -> None:
         """Draw only what no mask hides and what is on or near the scene, because the other rays miss it and teach nothing.
 
         silhouettes: of each view [H, W] bool; masks: as for the constructor. Silhouettes that hold nothing change nothing.
@@ -72,12 +74,12 @@ class RayDataset:
         kept = self._numbers([n if m is None else n & m for n, m in zip(near, masks, strict=True)])
         self.useful = kept if len(kept) else self.useful
 
-    def _numbers(self, keep: Sequence[np.ndarray]) -> np.ndarray:
+    def _numbers(self, keep: Sequence[NDArray[Any]]) -> NDArray[Any]:
         """The numbers of the pixels kept, of each view [H, W] bool."""
         kind = np.int32 if len(self.pixels) < 2**31 else np.int64
         return np.concatenate([(np.flatnonzero(k) + start).astype(kind) for start, k in zip(self.starts, keep, strict=True)])
 
-    def _unmasked(self, cameras: Sequence[Camera], masks: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    def _unmasked(self, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
         """The numbers of the pixels that no mask hides, None where all are."""
         if all(m is None for m in masks):
             return None
@@ -86,7 +88,7 @@ class RayDataset:
             raise SnergError("The masks hide every pixel of every image; in a mask, white is what to use.")
         return kept
 
-    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+    def draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
         """[count] pixel numbers, int64, of views that are not withheld. Raises SnergError when all are."""
         if self.withheld.all():
             raise SnergError("Every view is held out; there is none to train on.")
@@ -101,15 +103,15 @@ class RayDataset:
             again = again[self.withheld[self._view(index[again])]]
         raise SnergError("Hardly a pixel is in a view that is not held out; hold out fewer views, or hide less with masks.")
 
-    def _draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+    def _draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
         if self.useful is None:
             return rng.integers(0, len(self.pixels), count)
         return self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64)
 
-    def _view(self, index: np.ndarray) -> np.ndarray:
+    def _view(self, index: NDArray[Any]) -> NDArray[Any]:
         return np.searchsorted(self.ends, index, side="right")
 
-    def rays(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def rays(self, index: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Origins and unit directions [N, 3], near and far [N] in the field's coordinates, and unit directions [N, 3] in the
         world, all float64, of pixels by number (as Camera.rays and space_rays)."""
         view = self._view(index)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from .ray_dataset import RayDataset
 
@@ -31,13 +34,13 @@ class RayEnds:
         self.first = np.cumsum(tiles) - tiles
         self.reach = np.full(int(tiles.sum()), np.inf, np.float32)
 
-    def tile(self, index: np.ndarray) -> np.ndarray:
+    def tile(self, index: NDArray[Any]) -> NDArray[Any]:
         """[N] the tiles of pixels by number."""
         view = np.searchsorted(self.ends, index, side="right")
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         return self.first[view] + row // self.side * self.across[view] + column // self.side
 
-    def learn(self, tile: np.ndarray, end: np.ndarray) -> None:
+    def learn(self, tile: NDArray[Any], end: NDArray[Any]) -> None:
         """Rays of tiles [N] were seen to end at distances [N], infinite where light was left. Of several in one tile the
         farthest counts."""
         order = np.argsort(end, kind="stable")

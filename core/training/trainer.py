@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from ..data.dataset import HELD_OUT, Dataset
 from ..data.load import read_dataset
@@ -44,7 +45,7 @@ from .silhouette import border_share, silhouette
 from .validation import HELD_OUT_RAYS, Rays, some_views
 from .weight_average import EVERY, Average
 
-Masks = list[np.ndarray | None]
+Masks = list[NDArray[Any] | None]
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two looks at held-out rays, and the share of the time that they may take
 SAVE_SHARE = 0.02  # of the time may go into saving
@@ -56,7 +57,7 @@ class Sampler(Protocol):
 
     settings: TrainSettings
     """With what they leave open decided."""
-    occupied: np.ndarray
+    occupied: NDArray[Any]
 
     def batch(self, params: Any, fraction: float) -> Batch:
         """A step's rays and samples; `fraction` of the training is done."""
@@ -68,13 +69,13 @@ class Sampler(Protocol):
     def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
         """After each step: what the sampling takes from the parameters, and from what the loss told beside itself."""
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> np.ndarray:
+    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
         """Colours [R, 3] of rays over their background, as the field is sampled now."""
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs beside the parameters."""
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Undo `state`."""
 
 
@@ -139,7 +140,7 @@ class Trainer:
         """All pixels, and whether their alpha counts."""
         data, count = self.dataset, len(self.dataset.views)
 
-        def images(flat: bool) -> Iterator[np.ndarray]:
+        def images(flat: bool) -> Iterator[NDArray[Any]]:
             for i in range(count):
                 progress(0.0, f"Reading image {i + 1} of {count}")
                 yield to_uint8(over(data.read(i))) if flat else data.read(i)
@@ -150,7 +151,7 @@ class Trainer:
         self.decide(decisions.transparency(self.settings.transparency, pool.pixels, pool.alpha))
         return RayDataset(images(True), data.cameras, domain, masks) if pool.alpha and not self.decisions[-1].chosen else pool
 
-    def _space(self, masks: Masks, progress: Progress) -> tuple[Domain, Ndc | None, np.ndarray]:
+    def _space(self, masks: Masks, progress: Progress) -> tuple[Domain, Ndc | None, NDArray[Any]]:
         """Where the scene is: the field's domain, its device coordinates if it has any, and the cells that may hold something."""
         data = self.dataset
         decision, ndc = decisions.forward_facing(self.settings.ndc, data.cameras, data.points, data.bounds, self.pool.alpha)
@@ -162,7 +163,7 @@ class Trainer:
         domain, alive = hull(data.suggested_box(), data.cameras, self._silhouettes(masks))
         return domain, None, alive
 
-    def _silhouettes(self, masks: Masks) -> Sequence[np.ndarray | None]:
+    def _silhouettes(self, masks: Masks) -> Sequence[NDArray[Any] | None]:
         """Where each image shows the scene, bool [H, W], None where it does not say: by its alpha, or before a plain backdrop."""
         cameras, background = self.dataset.cameras, plain_colour(self.settings.background)
         ends = zip(self.pool.starts, self.pool.ends, cameras, strict=True)
@@ -181,7 +182,7 @@ class Trainer:
         self.pool.keep_near(found, masks)
         return found
 
-    def _sample(self, alive: np.ndarray) -> Sampler:
+    def _sample(self, alive: NDArray[Any]) -> Sampler:
         """The scheme that the settings name, with what it leaves open decided."""
         origins, directions, near, *_ = self.pool.rays(self.pool.draw(1024, np.random.default_rng(self.settings.seed)))
         rays = origins, directions, near
@@ -271,7 +272,7 @@ class Trainer:
             self.loss = keep * self.loss + (1 - keep) * loss
             self.error = keep * self.error + (1 - keep) * error
 
-    def errors(self, rays: Rays) -> np.ndarray:
+    def errors(self, rays: Rays) -> NDArray[Any]:
         """Squared errors [R] of rays, as the field is now."""
         return rays.errors(self.scheme.colours(self.best(), rays, self.fraction()))
 
@@ -313,7 +314,7 @@ class Trainer:
             view=self.view,
         )
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs to go on where this trainer stands, as arrays of its own.
 
         Raises SnergError when the optimiser holds something that is not finite (hard case 27).
@@ -329,7 +330,7 @@ class Trainer:
         arrays["decided"] = np.frombuffer(b"" if self.undecided else self.view.encode(), np.uint8)
         return arrays | self.average.state() | {name: np.array(value) for name, value in self.scheme.state().items()}
 
-    def restore(self, state: dict[str, np.ndarray], decisions: list[dict[str, Any]] | None = None) -> None:
+    def restore(self, state: dict[str, NDArray[Any]], decisions: list[dict[str, Any]] | None = None) -> None:
         """Go on from a `state`, and the decisions as `field().about` has them. Raises SnergError when it is another network's."""
         leaves, tree = jax.tree.flatten((self.params, self.moments))
         kept = [state.get(f"leaf_{i:03d}") for i in range(len(leaves))]

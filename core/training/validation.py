@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
 from ..nerf.sampling import Domain, pack_samples
@@ -19,13 +20,13 @@ from .ray_dataset import RayDataset
 HELD_OUT_RAYS = 4096  # enough for 0.1 dB, and little next to a second of training
 HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
 
-Evaluate = Callable[[np.ndarray], Sequence[np.ndarray]]
+Evaluate = Callable[[NDArray[Any]], Sequence[NDArray[Any]]]
 
 
 class Rays:
     """Rays of a pool, drawn once, with the colours that they ought to have over the background that the field is trained over."""
 
-    def __init__(self, pool: RayDataset, views: np.ndarray | None, count: int, settings: TrainSettings) -> None:
+    def __init__(self, pool: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
         """views: [views] bool, those to draw from; all when None."""
         rng = np.random.default_rng(settings.seed)
         held, pool.withheld = pool.withheld, np.zeros(len(pool.ends), bool) if views is None else ~views
@@ -36,14 +37,14 @@ class Rays:
         self.background = np.broadcast_to(shown_over(settings.background), (count, 3))
         self.wanted, _ = over(pool.pixels[index].astype(np.float32) / 255, self.background)
 
-    def errors(self, colour: np.ndarray) -> np.ndarray:
+    def errors(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
         return ((colour - self.wanted) ** 2).mean(axis=-1)
 
 
 def packed_colours(
-    settings: TrainSettings, domain: Domain, occupied: np.ndarray, spacing: float, evaluate: Evaluate, params: Any, rays: Rays
-) -> np.ndarray:
+    settings: TrainSettings, domain: Domain, occupied: NDArray[Any], spacing: float, evaluate: Evaluate, params: Any, rays: Rays
+) -> NDArray[Any]:
     """Colours [R, 3] of rays over their background, from packed samples.
 
     evaluate: points [N, 3] to (density [N], values [N, C]) by the field of params, as they are trained.

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..nerf.field import Field
@@ -47,7 +48,7 @@ def silenced(params: dict[str, Any]) -> dict[str, Any]:
     return changed
 
 
-def set_aside(views: int) -> np.ndarray:
+def set_aside(views: int) -> NDArray[Any]:
     """bool [views]: 2 to 4 of them, spread evenly; none where there are few."""
     aside = np.zeros(views, bool)
     if views >= VIEWS:
@@ -70,14 +71,14 @@ def run(trainer: Trainer) -> None:
     trainer.decide(decision)
 
 
-def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[np.ndarray, np.ndarray]:
+def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Squared errors [R] of a deferred field's rays with view dependence averaged over where the cameras are, and as it is."""
     gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
     along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
     points = points if field.ndc is None else field.ndc.to_world(points)
 
-    def shown(looking: np.ndarray) -> np.ndarray:
+    def shown(looking: NDArray[Any]) -> NDArray[Any]:
         params = {"view": field.network}
         return ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background)
 
@@ -92,7 +93,7 @@ def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[np.ndar
     return rays.errors(averaged), rays.errors(own)
 
 
-def judged(without: np.ndarray, gained: np.ndarray, views: int) -> Decision:
+def judged(without: NDArray[Any], gained: NDArray[Any], views: int) -> Decision:
     """From squared errors [R] of the same rays without and with view dependence."""
     gain = 10 * np.log10(max(float(without.mean()), 1e-12) / max(float(gained.mean()), 1e-12))
     difference = without - gained

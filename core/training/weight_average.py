@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from ..io.schema import numbers
 
@@ -28,12 +29,12 @@ class Average:
         share = np.float32(1 / self.count)
         self.mean = jax.tree.map(jnp.array, params) if self.mean is None else _toward(self.mean, params, share)
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> dict[str, NDArray[Any]]:
         """All that `restore` needs."""
         leaves = [] if self.mean is None else jax.tree.leaves(self.mean)
         return {"averaged": np.array(self.count)} | {f"mean_{i:03d}": np.array(leaf) for i, leaf in enumerate(leaves)}
 
-    def restore(self, state: dict[str, np.ndarray], like: Any) -> None:
+    def restore(self, state: dict[str, NDArray[Any]], like: Any) -> None:
         """Undo `state`, of parameters that are shaped `like` these. Raises ValueError or KeyError where it is another's."""
         self.count = int(state.get("averaged", 0))  # trainings begun before there were means have none
         if self.count:

@@ -6,9 +6,10 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import SnergError
 from ...geometry.camera import Camera
@@ -60,17 +61,17 @@ class Shot:
 
     name: str
     lens: int
-    world_to_camera: np.ndarray
-    seen: np.ndarray
+    world_to_camera: NDArray[Any]
+    seen: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
     """numbers [N] int64 ascending, points [N, 3] float64, colours [N, 3] uint8."""
 
-    numbers: np.ndarray
-    points: np.ndarray
-    colours: np.ndarray
+    numbers: NDArray[Any]
+    points: NDArray[Any]
+    colours: NDArray[Any]
 
 
 def is_colmap(path: Path) -> bool:
@@ -170,7 +171,7 @@ class Bytes:
             raise ValueError(f"it says that {count} records follow, more than its size allows")
         return int(count)
 
-    def array(self, kind: np.dtype, count: int) -> np.ndarray:
+    def array(self, kind: np.dtype, count: int) -> NDArray[Any]:
         """The next `count` records."""
         found = np.frombuffer(self.data, kind, count, self.at)
         self.at += count * kind.itemsize
@@ -273,7 +274,7 @@ def _points(rows: list[tuple]) -> Points:
     )
 
 
-def world_to_camera(pose: list[float], where: str) -> np.ndarray:
+def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
     """[3, 4] from a quaternion (w, x, y, z), normalised here, and a translation. Raises SnergError when it is none."""
     q = np.array(pose[:4], np.float64)
     length = float(np.linalg.norm(q))
@@ -308,7 +309,7 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
     return View(camera, image, mask if mask.is_file() else None)
 
 
-def _bounds(shots: list[Shot], points: Points) -> np.ndarray | None:
+def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
     """[V, 2] depths of the nearest and the farthest point in each view; None where a view has no points."""
     bounds = []
     for shot in shots:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import SnergError
 from ...io.files import inside
@@ -51,7 +53,7 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
     return Source(root, "llff", tuple(views), photographs=True, bounds=table[:, 15:], factor=factor)
 
 
-def read_table(path: Path) -> np.ndarray:
+def read_table(path: Path) -> NDArray[Any]:
     """[V, 17] float64: 3 x 5 numbers (axes, position, and height, width, focal length), near and far.
 
     Raises SnergError when it is something else; nothing in it is ever run as code (hard case 62).

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...io.guard import check_file, reading
 from ...io.schema import FAR
@@ -19,7 +20,7 @@ MAX_HEADER_LINES = 500
 MAX_BYTES = 2**32
 
 
-def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+def read_ply(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """Vertices [N, 3] float64 and their colours [N, 3] uint8 or None. Raises SnergError when the file is damaged or cut short."""
     check_file(path, MAX_BYTES)
     with reading(path, "write the file again", f"The points {path}"):
@@ -64,13 +65,13 @@ def _header(file: BinaryIO) -> tuple[str, int, dict[str, str]]:
     raise ValueError("its header does not end")
 
 
-def _binary(file: BinaryIO, size: int, count: int, kind: np.dtype) -> np.ndarray:
+def _binary(file: BinaryIO, size: int, count: int, kind: np.dtype) -> NDArray[Any]:
     if count * kind.itemsize > size:  # before anything is allocated for it
         raise ValueError(f"it says that it has {count} vertices, more than its size allows")
     return np.frombuffer(file.read(count * kind.itemsize), kind)
 
 
-def _text(file: BinaryIO, size: int, count: int, names: list[str]) -> dict[str, np.ndarray]:
+def _text(file: BinaryIO, size: int, count: int, names: list[str]) -> dict[str, NDArray[Any]]:
     if count * 2 * len(names) > size + 1:
         raise ValueError(f"it says that it has {count} vertices, more than its size allows")
     values = np.array([file.readline(10000).split()[: len(names)] for _ in range(count)], np.float64).reshape(count, len(names))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import SnergError
 from ...geometry.box import Box
@@ -145,7 +146,7 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
         raise SnergError(f"{where} has intrinsics that are not numbers ({error}).") from error
 
 
-def _camera(value: dict[str, Any], size: tuple[int, int], pose: np.ndarray, where: str, name: str) -> Camera:
+def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], where: str, name: str) -> Camera:
     width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
     if "fl_x" in value:
         focal_x = float(value["fl_x"])
@@ -205,7 +206,7 @@ def _plain(name: str) -> str:
     return name.removeprefix("./")
 
 
-def read_points(file: Path, value: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray | None]:
+def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None, NDArray[Any] | None]:
     """The points of ply_file_path, in the poses' world, if the file is there. applied_transform is in the poses and points already."""
     name = value.get("ply_file_path")
     if not isinstance(name, str):
