@@ -29,15 +29,14 @@ from .commands.info import info
 from .commands.render import render_views
 from .commands.train import settings_of, train_field
 from .data.dataset import DatasetOptions
-from .errors import Cancelled, SnergError, clean, needs_jax, printable
+from .errors import EXIT_ERROR, EXIT_STOPPED, Cancelled, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene_files import PNG
 from .jobs import interrupt
-from .jobs.protocol import EXIT_ERROR, run_job
+from .jobs.protocol import run_job
 from .nerf.model import VIEWS
 from .progress import Note, Progress
 from .rendering.render import MarchSettings
-from .start import STOPPED as EXIT_STOPPED
 from .study.evaluate import evaluate
 from .study.pareto import Target
 from .study.plan import StudySettings

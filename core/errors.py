@@ -4,6 +4,8 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+EXIT_ERROR = 2  # exit code of a command that refuses its input
+EXIT_STOPPED = 130  # of one that was stopped from the keyboard, as shells have it
 LONGEST = 1000  # characters of a message; names in files may have any length
 # What could break a line, move the cursor or turn the text round: control characters, line separators, directions of writing.
 CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]+")

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
-STOPPED = 130
+from .errors import EXIT_STOPPED
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from . import cli
 
     code = cli.main(words)
-    if code == STOPPED:
+    if code == EXIT_STOPPED:
         from .jobs.interrupt import end
 
         end(code)
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def stop(number: int, frame: FrameType | None) -> None:
     """The keyboard's signal while nothing has begun yet, or all is done."""
     os.write(2, b"snerg: Stopped.\n")
-    os._exit(STOPPED)
+    os._exit(EXIT_STOPPED)
 
 
 if __name__ == "__main__":

@@ -26,11 +26,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, TextIO
 
-from ..errors import Cancelled, SnergError
+from ..errors import EXIT_ERROR, Cancelled, SnergError
 from . import folder as folders
 from .interrupt import PATIENCE, deadline, leave
 
-EXIT_ERROR = 2
 EXIT_CANCELLED = 3
 GRACE_SECONDS = PATIENCE + 15.0  # after which a job that was told to stop, and is not stopped by its `deadline`, is ended
 LISTEN_SECONDS = 0.1  # between looks whether to stop
