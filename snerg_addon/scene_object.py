@@ -1,0 +1,71 @@
+"""The SNeRG object: an empty that stands for a baked scene's folder, where the artist puts it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core.scene.scene import Scene
+
+NAME = "SNeRG"
+
+
+class SNERG_PG_object(bpy.types.PropertyGroup):
+    """What makes an empty a SNeRG object."""
+
+    folder: bpy.props.StringProperty(  # type: ignore[valid-type]
+        name="Scene",
+        description="The folder of the baked scene that this object shows; relative to the .blend file",
+        subtype="DIR_PATH",
+        options={"LIBRARY_EDITABLE"},
+    )
+    size: bpy.props.FloatVectorProperty(  # type: ignore[valid-type]
+        name="Box",
+        description="Sides of the box that was baked, in units of the scene as it was baked",
+        size=3,
+        subtype="XYZ_LENGTH",
+    )
+
+
+def make(scene: Scene, folder: Path, collection: bpy.types.Collection, name: str = NAME) -> bpy.types.Object:
+    """An object that shows a baked scene, where the scene's box stood."""
+    thing = bpy.data.objects.new(name, None)
+    thing.empty_display_type, thing.empty_display_size = "PLAIN_AXES", float(max(scene.box.size)) / 8
+    thing.matrix_world = Matrix(scene.box.box_to_world.tolist())
+    thing.snerg.folder = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder)
+    thing.snerg.size = scene.box.size.tolist()
+    collection.objects.link(thing)
+    return thing
+
+
+def snerg_objects(layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Object]:
+    """The SNeRG objects of a view layer."""
+    return (thing for thing in layer.objects if thing.type == "EMPTY" and thing.snerg.folder)
+
+
+def folder_of(thing: bpy.types.Object) -> Path:
+    """The folder of an object's scene; of a linked object relative to its own file."""
+    return Path(bpy.path.abspath(thing.snerg.folder, library=thing.library))
+
+
+def problem_of(thing: bpy.types.Object) -> str:
+    """Why an object cannot be shown as it stands, one sentence; '' where it can."""
+    from .viewport.view import even_scale
+
+    if even_scale(np.array(thing.matrix_world, np.float64)) is None:
+        return f"{thing.name} is scaled unevenly, sheared or mirrored, which a baked scene cannot be; clear its scale, or scale it alike on all axes."
+    return ""
+
+
+def box_corners(thing: bpy.types.Object) -> np.ndarray | None:
+    """[8, 3], the corners in the world of the box that was baked; None where it is not known."""
+    size = np.array(thing.snerg.size)
+    if not size.all():
+        return None
+    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1).reshape(8, 3)
+    matrix = np.array(thing.matrix_world, np.float64)
+    return (signs * size / 2) @ matrix[:3, :3].T + matrix[:3, 3]
