@@ -9,9 +9,13 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..core.errors import SnergError
+from ..core.geometry.camera import Camera
 from ..core.scene.scene import Scene
+from .viewport.view import even_scale
 
 NAME = "SNeRG"
+UNEVEN = "{} is scaled unevenly, sheared or mirrored, which a baked scene cannot be; clear its scale, or scale it alike on all axes."
 
 
 class SNERG_PG_object(bpy.types.PropertyGroup):
@@ -52,13 +56,26 @@ def folder_of(thing: bpy.types.Object) -> Path:
     return Path(bpy.path.abspath(thing.snerg.folder, library=thing.library))
 
 
+def placed_camera(name: str, scene: Scene, matrix: np.ndarray, camera: Camera) -> tuple[Camera, float]:
+    """A camera of the world as it stands to a scene whose object has the world matrix [4, 4], in the world in which the scene was baked;
+    and how much larger the object is than it was baked. Raises SnergError where the object is not evenly scaled."""
+    scale = even_scale(matrix)
+    if scale is None:
+        raise SnergError(UNEVEN.format(name))
+    return camera.moved(rigid_similarity(scene.box.box_to_world @ np.linalg.inv(matrix))), scale
+
+
+def rigid_similarity(matrix: np.ndarray) -> np.ndarray:
+    """A similarity [4, 4] whose rotation is exact, from one that Blender kept in float32."""
+    u, sizes, v = np.linalg.svd(matrix[:3, :3])
+    found = matrix.copy()
+    found[:3, :3] = (u @ v) * sizes.mean()
+    return found
+
+
 def problem_of(thing: bpy.types.Object) -> str:
     """Why an object cannot be shown as it stands, one sentence; '' where it can."""
-    from .viewport.view import even_scale
-
-    if even_scale(np.array(thing.matrix_world, np.float64)) is None:
-        return f"{thing.name} is scaled unevenly, sheared or mirrored, which a baked scene cannot be; clear its scale, or scale it alike on all axes."
-    return ""
+    return UNEVEN.format(thing.name) if even_scale(np.array(thing.matrix_world, np.float64)) is None else ""
 
 
 def box_corners(thing: bpy.types.Object) -> np.ndarray | None:

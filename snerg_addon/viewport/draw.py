@@ -1,4 +1,4 @@
-"""SNeRG objects in the viewports: marched on the graphics card, coarse while the view moves, then refined; in front of and behind meshes."""
+"""SNeRG objects in the viewports, marched on the graphics card: coarse while the view moves, then refined; before and behind meshes."""
 
 from __future__ import annotations
 

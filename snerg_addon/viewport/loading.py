@@ -19,6 +19,7 @@ class Loaded:
     stamp: int
     scene: Scene | None = None
     problem: str = ""
+    thread: threading.Thread | None = None
 
 
 _known: dict[Path, Loaded] = {}
@@ -33,8 +34,19 @@ def loaded(folder: Path) -> Loaded:
         if stamp == 0:
             found.problem = f"There is no baked scene in {folder}; choose another folder, or bake again."
         else:
-            threading.Thread(target=_read, args=(folder, found), daemon=True).start()
+            found.thread = threading.Thread(target=_read, args=(folder, found), daemon=True)
+            found.thread.start()
     return found
+
+
+def cached(folder: Path) -> Scene:
+    """The scene in a folder, read now where it has not been yet. Raises SnergError when it cannot be."""
+    entry = loaded(folder)
+    if entry.thread is not None:
+        entry.thread.join()
+    if entry.scene is None:
+        raise SnergError(entry.problem)
+    return entry.scene
 
 
 def reading() -> bool:

@@ -40,10 +40,8 @@ def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
     info = _info()
     info.typedef_source(VIEW)
     info.uniform_buf(0, "View", "view")
-    slot = 0
-    for name in sampler_names(scene, pages):
+    for slot, name in enumerate(sampler_names(scene, pages)):
         info.sampler(slot, "FLOAT_3D", name)
-        slot += 1
     info.fragment_out(0, "VEC4", "colour")
     info.fragment_out(1, "VEC4", "ray_depth")
     constants = {"DATA_VOXELS": f"{DATA_VOXELS}.0", "CELL_VOXELS": f"{CELL_VOXELS}.0"}
@@ -136,7 +134,9 @@ def network(weights: ViewNetwork) -> str:
     lines.append(f"  vec3 c = {vector(weights.bias_2)};")
     lines += [f"  c += b{i // 4}.{'xyzw'[i % 4]} * {vector(weights.weights_2[i])};" for i in range(16)]
     body = "\n".join(lines)
-    return f"vec3 residual(vec3 colour, vec4 features, vec3 direction)\n{{\n{body}\n  return 1.0 / (1.0 + exp(-clamp(c, -30.0, 30.0)));\n}}\n"
+    return (
+        f"vec3 residual(vec3 colour, vec4 features, vec3 direction)\n{{\n{body}\n  return 1.0 / (1.0 + exp(-clamp(c, -30.0, 30.0)));\n}}\n"
+    )
 
 
 def layer(name: str, inputs: list[str], weights: np.ndarray, bias: np.ndarray) -> list[str]:
