@@ -56,10 +56,10 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
         except Cancelled:
             pass
         except SnergError as error:
-            self.error_set(str(error))
+            self.report({"ERROR"}, str(error))
         except Exception as error:
             traceback.print_exception(error)
-            self.error_set(f"The render went wrong ({type(error).__name__}: {error}); Blender's console says where.")
+            self.report({"ERROR"}, f"The render went wrong ({type(error).__name__}: {error}); Blender's console says where.")
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         scene = depsgraph.scene_eval
