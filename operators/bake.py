@@ -7,15 +7,15 @@ from typing import Any
 import bpy
 
 from ..core.io.files import json_bytes, write_bytes
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb, awaited
+from .task_operator import TaskOperator, awaited
 
 
-class SNERG_OT_bake(LongVerb, bpy.types.Operator):
+class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
     """Bake the field inside the box into a sparse grid that renders in real time, in a process of its own"""
 
     bl_idname = "snerg.bake"
@@ -24,13 +24,13 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     step, label = "bake", "Baking"
     needs = "field"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
         field, arguments = awaited(project, "field") or project.field, baking_arguments(context, project)
         out = project.new_version("scene")
         said = [part for part in arguments if part not in ("--box", str(project.box))]
         project.note_settings(out, ["--field", project.name_of(field), *said])
-        return start_verb(["bake", str(field), "--out", str(out), *arguments])
+        return start_command(["bake", str(field), "--out", str(out), *arguments])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and warn of a box that turned out to hold nothing."""

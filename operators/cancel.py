@@ -7,7 +7,7 @@ import bpy
 
 from ..core.errors import SnergError
 from ..snerg_addon import activity
-from .job_runner import redraw
+from .task_operator import redraw
 
 
 class SNERG_OT_cancel(bpy.types.Operator):
@@ -35,7 +35,7 @@ class SNERG_OT_cancel(bpy.types.Operator):
         try:
             for begun in activity.current():
                 if self.work in ("", begun.key):
-                    begun.work.cancel()
+                    begun.task.cancel()
         except SnergError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -6,13 +6,13 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
+class SNERG_OT_export_scene(TaskOperator, bpy.types.Operator):
     """Write the baked scene in the PNG layout of the published SNeRG code, which its own viewer opens"""
 
     bl_idname = "snerg.export_scene"
@@ -21,9 +21,9 @@ class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
     step, label = "export", "Exporting the scene"
     needs = "scene"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """`export` of the command line."""
-        return start_verb(["export", str(project.scene), "--out", str(project.reference)])
+        return start_command(["export", str(project.scene), "--out", str(project.reference)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to."""

@@ -7,16 +7,16 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.transforms import write_transforms
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import LOSSY
-from .job_runner import LongVerb
 from .render_dataset import scene_cameras
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
+class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
     """Write a web page that shows the baked scene in any browser, with the scene's cameras to jump to"""
 
     bl_idname = "snerg.export_web"
@@ -25,7 +25,7 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
     step, label = "export", "Exporting the web page"
     needs = "scene"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """`bundle` of the command line, with the cameras as they stand now."""
         settings = context.scene.snerg
         arguments = ["bundle", str(project.scene), "--out", str(project.web)]
@@ -37,7 +37,7 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
             arguments += ["--codec", settings.codec]
         if settings.codec in LOSSY:
             arguments += ["--quality", str(settings.quality)]
-        return start_verb([*arguments, "--single-file"] if settings.single_file else arguments)
+        return start_command([*arguments, "--single-file"] if settings.single_file else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to."""

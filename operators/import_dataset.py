@@ -13,30 +13,30 @@ import numpy as np
 from ..core.data.dataset import Dataset, DatasetOptions, View
 from ..core.data.load import read_dataset
 from ..core.geometry.camera import Camera
-from ..snerg_addon.activity import Thought, Work
+from ..core.jobs.task import Task, ThreadTask
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
 from ..snerg_addon.owner import shown
 from ..snerg_addon.project import Project
-from .import_verb import ImportVerb
+from .import_operator import ImportOperator
 
 SHOWN = 0.05  # a camera's size in the viewport, as a part of how far it stands from the middle
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
-class SNERG_OT_import_dataset(ImportVerb, bpy.types.Operator):
+class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
     """Open photographs with their cameras (transforms.json, LLFF or COLMAP): each camera with its picture behind it, and the box"""
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
-    key, what = "dataset", "dataset"
+    key, noun = "dataset", "dataset"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """Read in a thread; the scene is touched only at the end, all at once, so that one undo takes it back."""
         path, settings = self.path(), context.scene.snerg
         options = DatasetOptions(settings.test_every, settings.downscale)
-        return Thought(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
+        return ThreadTask(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Put it into the scene, and make it the dataset to train on."""

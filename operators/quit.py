@@ -56,7 +56,7 @@ class SNERG_OT_quit(bpy.types.Operator):
         """What is under way, and the choice."""
         layout = self.layout
         for begun in activity.current():
-            layout.label(text=f"{begun.label}: {begun.work.message}", icon="SORTTIME" if begun.outlives else "ERROR")
+            layout.label(text=f"{begun.label}: {begun.task.text}", icon="SORTTIME" if begun.outlives else "ERROR")
             if not begun.is_job:
                 layout.label(text="It ends in any case: Blender does it itself")
             elif not begun.outlives:
@@ -68,7 +68,7 @@ class SNERG_OT_quit(bpy.types.Operator):
         if self.jobs == "STOP":
             try:
                 for begun in activity.current():
-                    begun.work.cancel()
+                    begun.task.cancel()
             except SnergError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}

@@ -11,16 +11,16 @@ from ..core.artifact import is_dataset
 from ..core.data.rig import RigSettings, rig_cameras
 from ..core.errors import SnergError
 from ..core.io.files import check_replaceable
-from ..snerg_addon.activity import Steps, Work
+from ..core.jobs.task import StepTask, Task
 from ..snerg_addon.bridge import box_from_blender, box_of, resolution
 from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated, render_steps, unfinished
 from ..snerg_addon.owner import shown
 from ..snerg_addon.project import Project, project_of, remember
 from ..snerg_addon.render_job import render_job
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_render_dataset(LongVerb, bpy.types.Operator):
+class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
     """Render the scene from many cameras on a transparent film, as photographs to train a field on"""
 
     bl_idname = "snerg.render_dataset"
@@ -36,7 +36,7 @@ class SNERG_OT_render_dataset(LongVerb, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """From a copy of the file, in a process of its own; in a script's own process, which has no window to keep free."""
         scene, settings = context.scene, context.scene.snerg
         box = box_from_blender(box_of(scene), evaluated(scene)) if box_of(scene) else None
@@ -45,7 +45,7 @@ class SNERG_OT_render_dataset(LongVerb, bpy.types.Operator):
         for folder in (project.own_dataset, unfinished(project.own_dataset)):
             check_replaceable(folder)
         if bpy.app.background:
-            return Steps(render_steps(scene, shots, project.own_dataset, CaptureSettings(settings.test_every), box, self.goes_on))
+            return StepTask(render_steps(scene, shots, project.own_dataset, CaptureSettings(settings.test_every), box, self.goes_on))
         chosen = rig_settings(context) if settings.cameras == "RIG" else shots
         return render_job(scene, chosen, project.own_dataset, settings.test_every, box, self.goes_on)
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.curve import curve_of
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_train(LongVerb, bpy.types.Operator):
+class SNERG_OT_train(TaskOperator, bpy.types.Operator):
     """Train a field on the dataset, in a process of its own. Continues where an earlier training stopped"""
 
     bl_idname = "snerg.train"
@@ -23,14 +23,14 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
     step, label = "field", "Training"
     needs, queues = "dataset", True
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
         """`train` of the command line."""
         scene = context.scene
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
         project.note_settings(out, arguments[arguments.index("--preset") :])
-        return start_verb(arguments)
+        return start_command(arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Note what it came to, and why it went as it did."""

@@ -13,7 +13,7 @@ from ..core.io.files import cannot_write
 from ..core.jobs import folder as folders
 from ..snerg_addon.owner import adopt
 from ..snerg_addon.project import VERSIONS, Project, project_of
-from .job_runner import redraw
+from .task_operator import redraw
 
 
 class VersionOperator:

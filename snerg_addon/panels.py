@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import bpy
 
 from ..operators.train import unfinished
-from . import activity, ahead, saving
+from . import activity, estimate_panel, saving
 from .bridge import PREVIEW, STUDY, box_of, resolution
 from .capture import views_there
 from .curve import Curve, curve_of
@@ -42,7 +42,7 @@ class SNERG_PT_main(_Sidebar, bpy.types.Panel):
         draw_owner(layout, scene)
         for busy in activity.current(project):
             draw_progress(layout, busy)
-        draw_last(layout, activity.said(project))
+        draw_last(layout, activity.last_report(project))
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
 
@@ -67,11 +67,11 @@ def draw_owner(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
     """A bar with the message, and the button that stops it."""
-    work = busy.work
+    work = busy.task
     column = layout.column(align=True)
     column.label(text=busy.label, icon="SORTTIME")
     row = column.row(align=True)
-    row.progress(factor=work.fraction, text=work.message or f"{work.fraction:.0%}")
+    row.progress(factor=work.fraction, text=work.text or f"{work.fraction:.0%}")
     stop = row.row(align=True)
     stop.enabled = not work.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = busy.key
@@ -341,7 +341,7 @@ class SNERG_PT_bake(_Step, bpy.types.Panel):
         column.prop(settings, "voxel_size")
         column.prop(settings, "samples")
         layout.prop(settings, "refine")
-        lines = ahead.texts(context)
+        lines = estimate_panel.texts(context)
         facts(layout, *(part for line in lines for part in textwrap.wrap(line, LINE)))
         layout.operator("snerg.estimate", icon="TIME", text="Estimate Again" if lines else "Estimate")
         layout.operator("snerg.bake", icon="RENDER_STILL")

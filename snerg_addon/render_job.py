@@ -14,8 +14,9 @@ from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.io.files import json_bytes, read_json, write_bytes
 from ..core.jobs import folder as folders
-from ..core.jobs.protocol import Progress, job_reporter, own_folder, run_job
+from ..core.jobs.protocol import job_reporter, own_folder, run_job
 from ..core.jobs.runner import LAUNCHER, Job, job_environment
+from ..core.progress import Progress
 from .bridge import resolution
 from .capture import CaptureSettings, Shot, render_dataset
 

@@ -82,7 +82,7 @@ def take_along(scene: bpy.types.Scene, old_file: Path) -> None:
         try:
             write_owner(folder, scene)
         except SnergError as error:
-            activity.say(folder_of(scene), str(error), False)
+            activity.report(folder_of(scene), str(error), False)
 
 
 @persistent
@@ -134,10 +134,10 @@ def settle(scene: bpy.types.Scene) -> None:
         move(waiting, target, lambda fraction, message: manager.progress_update(100 * fraction))
         scene.snerg.folder = shown(target)
         write_owner(target, scene)
-        activity.say(target, f"The project was moved to {target}.", True)
+        activity.report(target, f"The project was moved to {target}.", True)
     except SnergError as error:
         _refused.add(waiting)
-        activity.say(waiting, f"The project stays in {waiting}: {error}", False)
+        activity.report(waiting, f"The project stays in {waiting}: {error}", False)
     finally:
         manager.progress_end()
 
