@@ -1,4 +1,4 @@
-"""Blender's verbs: one file a verb, each of them thin."""
+"""Blender's operators, one file each: they read the settings, start a task, and record its result."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def classes() -> tuple[type[Any], ...]:
-    """Every operator, for registration; imported here so that the package itself imports without Blender."""
+    """Every operator, for registration. Imported here, because the package must import without Blender."""
     from . import (
         add_box,
         bake,

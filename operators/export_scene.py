@@ -1,4 +1,4 @@
-"""Baked scene to the reference PNG layout."""
+"""Export the baked scene in the PNG layout of the reference implementation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .task_operator import TaskOperator
 
 
 class SNERG_OT_export_scene(TaskOperator, bpy.types.Operator):
-    """Write the baked scene in the PNG layout of the published SNeRG code, which its own viewer opens"""
+    """Export the baked scene as PNG files for the viewer of the published SNeRG code"""
 
     bl_idname = "snerg.export_scene"
     bl_label = "Export Scene"
@@ -22,10 +22,10 @@ class SNERG_OT_export_scene(TaskOperator, bpy.types.Operator):
     needs = "scene"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
-        """`export` of the command line."""
+        """The command `export`."""
         return start_command(["export", str(project.scene), "--out", str(project.reference)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
+        """Record the export."""
         remember(project, "reference", project.reference, result)
         return f"Exported the scene to {project.reference}"

@@ -1,4 +1,4 @@
-"""Baked scene to web page."""
+"""Export the baked scene as a web page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .task_operator import TaskOperator
 
 
 class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
-    """Write a web page that shows the baked scene in any browser, with the scene's cameras to jump to"""
+    """Export a web page that shows the baked scene in a browser, with the scene's cameras as viewpoints"""
 
     bl_idname = "snerg.export_web"
     bl_label = "Export Web Page"
@@ -26,10 +26,10 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
     needs = "scene"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
-        """`bundle` of the command line, with the cameras as they stand now."""
+        """The command `bundle` with the current cameras."""
         settings = context.scene.snerg
         arguments = ["bundle", str(project.scene), "--out", str(project.web)]
-        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs none
+        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs no camera
             cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
             write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
             arguments += ["--cameras", str(project.cameras)]
@@ -40,6 +40,6 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
         return start_command([*arguments, "--single-file"] if settings.single_file else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
+        """Record the export."""
         remember(project, "web", project.web, result)
         return f"Exported the web page to {project.web}"

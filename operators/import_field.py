@@ -1,4 +1,4 @@
-"""A field that others trained."""
+"""Import a field."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .import_operator import ImportOperator
 
 
 class SNERG_OT_import_field(ImportOperator, bpy.types.Operator):
-    """Import a trained field: one of ours, or a checkpoint of the published SNeRG code"""
+    """Import a trained field, or a checkpoint of the published SNeRG code"""
 
     bl_idname = "snerg.import_field"
     bl_label = "Import Field"

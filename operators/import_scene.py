@@ -1,4 +1,4 @@
-"""A scene that others baked."""
+"""Import a baked scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .import_operator import ImportOperator
 
 
 class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
-    """Import a baked scene: one of ours, or the PNG folder of the published SNeRG code"""
+    """Import a baked scene, or the PNG files of the published SNeRG code"""
 
     bl_idname = "snerg.import_scene"
     bl_label = "Import Scene"

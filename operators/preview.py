@@ -1,4 +1,4 @@
-"""Baked scene and active camera to picture."""
+"""Render the baked scene from the active camera."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SNERG_OT_preview(TaskOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There must be a baked scene and a camera."""
+        """Whether there are a baked scene and an active camera."""
         if not super().poll(context):
             return False
         if context.scene.camera is None:
@@ -84,7 +84,7 @@ class PreviewTask(ThreadTask):
 
 
 def enlarged(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[h, w, C] to [height, width, C] by repeating pixels, so that a first small picture takes the place of the whole one."""
+    """Pixels [h, w, C] repeated to [height, width, C], so that a coarse pass fills the whole image."""
     times = -(-height // pixels.shape[0])
     return pixels.repeat(times, axis=0).repeat(times, axis=1)[:height, :width] if times > 1 else pixels
 
@@ -93,7 +93,7 @@ _loaded: tuple[Path, int, Scene] | None = None
 
 
 def loaded(project: Project) -> Scene:
-    """The project's baked scene, kept in memory until its files change."""
+    """The project's baked scene, cached until its files change. Raises SnergError where there is none."""
     global _loaded
     try:
         stamp = (project.scene / "scene.json").stat().st_mtime_ns
@@ -105,7 +105,7 @@ def loaded(project: Project) -> Scene:
 
 
 def show_image(context: bpy.types.Context, image: bpy.types.Image) -> None:
-    """Put the picture into the first image editor that shows nothing else of the artist's."""
+    """Show the image in the first image editor that shows no other image."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "IMAGE_EDITOR" and (area.spaces.active.image is None or area.spaces.active.image == image):

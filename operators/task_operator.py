@@ -15,7 +15,7 @@ from ..core.jobs.task import Task
 from ..core.progress import Progress
 from ..snerg_addon import activity
 from ..snerg_addon.activity import Activity
-from ..snerg_addon.owner import claim, write_owner
+from ..snerg_addon.owner import assign_project, write_owner
 from ..snerg_addon.project import Project, no_dataset, project_of
 
 
@@ -52,7 +52,7 @@ class TaskOperator:
         """Run the task and wait for it."""
         scene, task = context.scene, None
         try:
-            project = claimed(scene)
+            project = scene_project(scene)
             task = self.start(context, project)
             write_owner(project.folder, scene)
             if isinstance(task, Job):
@@ -86,7 +86,7 @@ class TaskOperator:
 
 def launch(operator: TaskOperator, context: bpy.types.Context) -> Activity:
     """Start an operator's task without waiting for it. Raises SnergError when it cannot be started, or runs already."""
-    scene, project, name = context.scene, claimed(context.scene), type(operator).bl_idname  # an instance's bl_idname is SNERG_OT_...
+    scene, project, name = context.scene, scene_project(context.scene), type(operator).bl_idname  # an instance's bl_idname is SNERG_OT_...
     others = [other for other in activity.current(project.folder) if other.operator == name]
     if any(not other.is_job for other in others):
         raise SnergError(f"{operator.label} is still running; wait for it or stop it first.")
@@ -102,9 +102,9 @@ def launch(operator: TaskOperator, context: bpy.types.Context) -> Activity:
     return begun
 
 
-def claimed(scene: bpy.types.Scene) -> Project:
+def scene_project(scene: bpy.types.Scene) -> Project:
     """The scene's project, whose folder stays the same from now on."""
-    claim(scene)
+    assign_project(scene)
     return project_of(scene)
 
 

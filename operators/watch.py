@@ -31,7 +31,7 @@ def tick() -> float:
     global _stale
     try:
         _stale = _stale or bool(activity.current())
-        saving.settle_all()
+        saving.move_saved_projects()
         find()
         for begun in activity.current():
             follow(begun)

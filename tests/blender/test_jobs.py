@@ -24,7 +24,7 @@ from snerg.operators.render_dataset import SNERG_OT_render_dataset, chosen_shots
 from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity
 from snerg.snerg_addon.bridge import box_from_blender
-from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_there
+from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_rendered
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.render_job import render_job
 
@@ -334,16 +334,16 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
 
     for _ in range(kills):
         begun = launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
-        view = rng.randint(min(views_there(project.own_dataset)[0] + 2, 5), 5)
+        view = rng.randint(min(views_rendered(project.own_dataset)[0] + 2, 5), 5)
         until(lambda: begun.task.state != "running" or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
         time.sleep(rng.uniform(0.0, 0.1))
         if folders.is_alive(begun.task.folder):
             os.kill(int((begun.task.folder / folders.LOCK).read_text()), signal.SIGKILL)
         check()
-        kept += views_there(project.own_dataset)[0]
+        kept += views_rendered(project.own_dataset)[0]
     launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
     check()
-    assert views_there(project.own_dataset) == (0, 0)
+    assert views_rendered(project.own_dataset) == (0, 0)
     return kept
 
 

@@ -16,7 +16,7 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.jobs.task import StepTask
 from snerg.snerg_addon import estimate_panel
 from snerg.snerg_addon.bridge import STUDY
-from snerg.snerg_addon.panels import next_step
+from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
 
 
@@ -84,24 +84,24 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
 def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
     """The field is looked at once; from then on the panel follows the box, and a field that was written again has to be looked at."""
     project = project_of(scene)
-    assert estimate_panel.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
     train_field(dataset, project.field, steps=60)
-    assert estimate_panel.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
     assert bpy.ops.snerg.estimate() == {"FINISHED"}
-    whole = estimate_panel.texts(bpy.context)
+    whole = estimate_panel.lines(bpy.context)
     assert "GB of memory" in whole[0] and "MB as PNG" in whole[1]
-    assert estimate_panel.survey_of(project) is estimate_panel.survey_of(project), "read once"
+    assert estimate_panel.probe_of(project) is estimate_panel.probe_of(project), "read once"
     scene.snerg.resolution = 512
-    assert estimate_panel.texts(bpy.context) != whole
+    assert estimate_panel.lines(bpy.context) != whole
     bpy.ops.snerg.add_box()
     scene.snerg.box.location.x += 1000
     bpy.context.view_layer.update()
-    assert estimate_panel.texts(bpy.context)[1].startswith("0 MB")
+    assert estimate_panel.lines(bpy.context)[1].startswith("0 MB")
     scene.snerg.voxel_size = 1e-9
-    (line,) = estimate_panel.texts(bpy.context)
+    (line,) = estimate_panel.lines(bpy.context)
     assert "choose at least" in line, "one sentence, in place of numbers"
     train_field(dataset, project.field, steps=70)
-    assert estimate_panel.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
 
 
 @pytest.mark.slow
