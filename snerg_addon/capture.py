@@ -81,35 +81,39 @@ def render_steps(
     cameras = core_cameras(scene, shots)
     splits = split_names(len(shots), settings.test_every)
     check_replaceable(folder)
-    part = unfinished(folder)
-    if not resume or read_rendering(part) != rendering_key(scene, cameras, settings):
-        check_replaceable(part)
-        shutil.rmtree(part, ignore_errors=True)
-        write_bytes(part / MARK, b"Written by SNeRG for Blender; an unfinished dataset that the next rendering completes.\n")
-        write_bytes(part / RENDERING, json_bytes(rendering_key(scene, cameras, settings)))
+    part, key = unfinished(folder), rendering_key(scene, cameras, settings)
+    if not resume or read_rendering(part) != key:
+        start_unfinished(part, key)
     kept = sum((part / f"{name}.png").is_file() for name in splits)
     for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
         if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
             recorded = render_file(scene, shot, part / f"{splits[index]}.png", camera)
             write_splits(part, cameras, splits, box, recorded)
-    if kept == len(shots):  # the one before was stopped just before its end
+    if kept == len(shots):  # the run before was stopped between its last view and its end
         with capture_scene(scene) as copy:
             write_splits(part, cameras, splits, box, colour_settings(copy))
+    complete(part, folder, splits)
+    held_out, first = sum(name.startswith("test") for name in splits), cameras[0]
+    counts = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
+    return {**counts, "kept": kept} if kept else counts
+
+
+def start_unfinished(part: Path, key: dict[str, Any]) -> None:
+    """Make an empty unfinished dataset, in place of an earlier one. key: its `rendering_key`. Raises SnergError."""
+    check_replaceable(part)
+    shutil.rmtree(part, ignore_errors=True)
+    write_bytes(part / MARK, b"Written by SNeRG for Blender; an unfinished dataset that the next rendering completes.\n")
+    write_bytes(part / RENDERING, json_bytes(key))
+
+
+def complete(part: Path, folder: Path, splits: Sequence[str]) -> None:
+    """Make the unfinished dataset `part` the dataset `folder`, in one step. splits: each view's path without suffix."""
     with new_folder(folder) as whole:
         for name in (*(f"{split}.png" for split in splits), *(path.name for path in part.glob("transforms_*.json"))):
             (whole / name).parent.mkdir(exist_ok=True)
             link_or_copy(part / name, whole / name)
     shutil.rmtree(part, ignore_errors=True)
-    held_out = sum(name.startswith("test") for name in splits)
-    first = cameras[0]
-    return {
-        "train": len(shots) - held_out,
-        "test": held_out,
-        "width": first.width,
-        "height": first.height,
-        **({"kept": kept} if kept else {}),
-    }
 
 
 def unfinished(folder: Path) -> Path:
