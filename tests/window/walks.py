@@ -6,12 +6,12 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 from __future__ import annotations
 
 import bpy
-from drive import RayMarcher, Window
+from drive import Actions, Window
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
 
 
-def sidebar(window: Window) -> RayMarcher:
+def sidebar(window: Window) -> Actions:
     """N, the tab, the buttons, and a click on one."""
     window.seen["closed"] = window.sidebar.width
     yield from window.open_sidebar()
@@ -23,7 +23,7 @@ def sidebar(window: Window) -> RayMarcher:
     yield from window.picture("box")
 
 
-def training(window: Window, photos: str) -> RayMarcher:
+def training(window: Window, photos: str) -> Actions:
     """Click Train; play the timeline and press Esc; another workspace and back; stop it there by the panel's button."""
     yield from begin(window, "artwork", photos)
     yield from window.picture("before")
@@ -51,7 +51,7 @@ def training(window: Window, photos: str) -> RayMarcher:
     yield from window.picture("after")
 
 
-def play_and_escape(window: Window) -> RayMarcher:
+def play_and_escape(window: Window) -> Actions:
     """Space plays the timeline, Esc ends that."""
     yield from window.over_view()
     yield from window.press("SPACE")
@@ -60,7 +60,7 @@ def play_and_escape(window: Window) -> RayMarcher:
     window.seen["ends"] = yield from window.until(lambda: not window.window.screen.is_animation_playing, 3)
 
 
-def another_workspace(window: Window, key: str) -> RayMarcher:
+def another_workspace(window: Window, key: str) -> Actions:
     """Ctrl-Page Down goes to the next one, Ctrl-Page Up back."""
     before = window.window.workspace.name
     yield from window.over_view()
@@ -68,7 +68,7 @@ def another_workspace(window: Window, key: str) -> RayMarcher:
     window.seen[key] = yield from window.until(lambda: window.window.workspace.name != before, 5)
 
 
-def box_deleted(window: Window) -> RayMarcher:
+def box_deleted(window: Window) -> Actions:
     """Add a box by its button, then delete it with X."""
     yield from window.open_sidebar()
     yield from window.click("snerg.add_box")
@@ -86,7 +86,7 @@ def box_deleted(window: Window) -> RayMarcher:
     yield from window.picture("deleted")
 
 
-def unsaved(window: Window) -> RayMarcher:
+def unsaved(window: Window) -> Actions:
     """Render a dataset in a file that was never saved, then save it."""
     quick(window, 24, 1)
     yield from window.open_sidebar()
@@ -112,7 +112,7 @@ def quick(window: Window, size: int, samples: int) -> None:
     scene.render.resolution_x = scene.render.resolution_y = size
 
 
-def second_file(window: Window, trained: str) -> RayMarcher:
+def second_file(window: Window, trained: str) -> Actions:
     """A project with a field; a second scene in its file; a second file beside it; and the first file again."""
     first = window.folder / "first.blend"
     yield from begin(window, "first")
@@ -133,7 +133,7 @@ def second_file(window: Window, trained: str) -> RayMarcher:
     window.seen["again"] = window.texts("main") + window.texts("field")
 
 
-def search(window: Window) -> RayMarcher:
+def search(window: Window) -> Actions:
     """F3, a few letters, Enter."""
     yield from window.over_view()
     yield from window.press("F3")
@@ -147,7 +147,7 @@ def search(window: Window) -> RayMarcher:
     yield from window.press("ESC")
 
 
-def import_dialog(window: Window, photos: str) -> RayMarcher:
+def import_dialog(window: Window, photos: str) -> Actions:
     """Import Dataset: what the file browser proposes, and what comes of a folder chosen there."""
     yield from begin(window, "artwork")
     yield from window.click("snerg.import_dataset")
@@ -176,7 +176,7 @@ def browser(window: Window) -> object:
     return next((area for area in window.window.screen.areas if area.type == "FILE_BROWSER"), None)
 
 
-def rendering(window: Window) -> RayMarcher:
+def rendering(window: Window) -> Actions:
     """Render views that take seconds each, and see how long the window does not answer."""
     quick(window, 700, 200)
     window.settings.cameras = "ALL"
@@ -191,7 +191,7 @@ def rendering(window: Window) -> RayMarcher:
     yield from window.picture("rendered")
 
 
-def leave(window: Window, photos: str, steps: str) -> RayMarcher:
+def leave(window: Window, photos: str, steps: str) -> Actions:
     """Start a training and quit with Ctrl-Q, in a file that has no unsaved changes."""
     yield from begin(window, "artwork", photos)
     window.settings.steps = int(steps)
@@ -209,7 +209,7 @@ def leave(window: Window, photos: str, steps: str) -> RayMarcher:
     raise AssertionError("Blender did not quit")
 
 
-def come_back(window: Window) -> RayMarcher:
+def come_back(window: Window) -> Actions:
     """Open that file again."""
     yield from window.file("open_mainfile", window.folder / "artwork.blend")
     yield from window.open_sidebar()
@@ -221,7 +221,7 @@ def come_back(window: Window) -> RayMarcher:
     yield from window.picture("ended")
 
 
-def begin(window: Window, name: str, photos: str = "") -> RayMarcher:
+def begin(window: Window, name: str, photos: str = "") -> Actions:
     """A saved file with the sidebar open, which trains on `photos`."""
     yield from window.file("save_as_mainfile", window.folder / f"{name}.blend")
     if photos:

@@ -149,7 +149,7 @@ def run_slow(body: str, out: Path, presses: int = 1) -> tuple[int, str, float]:
     script = f"""
 import sys, threading, time
 from pathlib import Path
-from snerg.core import cli
+from snerg.core import cli, errors
 from snerg.core.io import files
 out = Path({str(out)!r})
 def info(path, progress):
@@ -186,7 +186,7 @@ SAVE = """
         while True:
             progress(0.5, "working")
             time.sleep(0.01)
-    except cli.Cancelled:
+    except errors.Cancelled:
         with files.SAVING:
             time.sleep({seconds})
             files.write_bytes(out, b"saved")
