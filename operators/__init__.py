@@ -9,6 +9,7 @@ def classes() -> tuple[type[Any], ...]:
     """Every operator, for registration. Imported here, because the package must import without Blender."""
     from . import (
         add_box,
+        add_scene,
         bake,
         cancel,
         estimate,
@@ -27,7 +28,7 @@ def classes() -> tuple[type[Any], ...]:
     )
 
     modules = (
-        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, preview, study),
+        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
         *(export_scene, export_web, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -12,6 +12,9 @@ from mathutils import Matrix
 from ..core.errors import SnergError
 from ..core.geometry.camera import Camera
 from ..core.scene.scene import Scene
+from .project import Project
+from .properties import RELATIVE_PATHS
+from .viewport.loading import cached
 from .viewport.view import even_scale
 
 NAME = "SNeRG"
@@ -25,7 +28,7 @@ class SNERG_PG_object(bpy.types.PropertyGroup):
         name="Scene",
         description="The folder of the baked scene that this object shows; relative to the .blend file",
         subtype="DIR_PATH",
-        options={"LIBRARY_EDITABLE"},
+        options=RELATIVE_PATHS,
     )
     size: bpy.props.FloatVectorProperty(  # type: ignore[valid-type]
         name="Box",
@@ -33,6 +36,7 @@ class SNERG_PG_object(bpy.types.PropertyGroup):
         size=3,
         subtype="XYZ_LENGTH",
     )
+    baked_at: bpy.props.FloatVectorProperty(size=16, default=np.eye(4).ravel().tolist(), options={"HIDDEN"})  # type: ignore[valid-type]
 
 
 def make(scene: Scene, folder: Path, collection: bpy.types.Collection, name: str = NAME) -> bpy.types.Object:
@@ -40,10 +44,37 @@ def make(scene: Scene, folder: Path, collection: bpy.types.Collection, name: str
     thing = bpy.data.objects.new(name, None)
     thing.empty_display_type, thing.empty_display_size = "PLAIN_AXES", float(max(scene.box.size)) / 8
     thing.matrix_world = Matrix(scene.box.box_to_world.tolist())
-    thing.snerg.folder = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder)
-    thing.snerg.size = scene.box.size.tolist()
+    point_at(thing, scene, folder)
     collection.objects.link(thing)
     return thing
+
+
+def show_scene(scene: bpy.types.Scene, project: Project, folder: Path) -> bpy.types.Object | None:
+    """Show a new version of the project's baked scene: by the object that showed the version before, where there is one, else by a new
+    object. Returns None where the folder cannot be read; the object's own moves, turns and scale are kept."""
+    try:
+        baked = cached(folder)
+    except SnergError:
+        return None
+    for thing in scene.objects:
+        if thing.type == "EMPTY" and thing.snerg.folder and folder_of(thing).is_relative_to(project.folder):
+            moved = np.array(thing.matrix_world, np.float64) @ np.linalg.inv(placement(thing)) @ baked.box.box_to_world
+            point_at(thing, baked, folder)
+            thing.matrix_world = Matrix(moved.tolist())
+            return thing
+    return make(baked, folder, scene.collection)
+
+
+def placement(thing: bpy.types.Object) -> np.ndarray:
+    """[4, 4] float64: where the box of an object's scene stood when it was baked."""
+    return np.array(thing.snerg.baked_at, np.float64).reshape(4, 4)
+
+
+def point_at(thing: bpy.types.Object, scene: Scene, folder: Path) -> None:
+    """Make an object show a baked scene."""
+    thing.snerg.folder = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder)
+    thing.snerg.size = scene.box.size.tolist()
+    thing.snerg.baked_at = scene.box.box_to_world.ravel().tolist()
 
 
 def snerg_objects(layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Object]:
