@@ -42,7 +42,7 @@ class SNERG_PG_object(bpy.types.PropertyGroup):
 def make(scene: Scene, folder: Path, collection: bpy.types.Collection, name: str = NAME) -> bpy.types.Object:
     """An object that shows a baked scene, where the scene's box stood."""
     thing = bpy.data.objects.new(name, None)
-    thing.empty_display_type, thing.empty_display_size = "PLAIN_AXES", float(max(scene.box.size)) / 8
+    thing.empty_display_type, thing.empty_display_size = "PLAIN_AXES", float(max(scene.box.size)) / 2
     thing.matrix_world = Matrix(scene.box.box_to_world.tolist())
     point_at(thing, scene, folder)
     collection.objects.link(thing)

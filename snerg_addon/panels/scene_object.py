@@ -40,5 +40,5 @@ class SNERG_PT_object(bpy.types.Panel):
             draw_box(
                 layout,
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
-                f"{draw.memory() / 2**20:.0f} MB of graphics memory in all",
+                f"{draw.memory() / 2**20:.1f} MB of graphics memory in all",
             )
