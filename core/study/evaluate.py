@@ -64,6 +64,14 @@ def evaluate(
         subject.options.holdout if holdout is None else holdout, subject.options.downscale if downscale is None else downscale
     )
     views = read_dataset(source, split, options) if split else held_out(source, options)
+    found = measure_into(subject, views, out, progress)
+    where = {"out": str(out)} if out is not None else {}
+    measured = {"split": views.split, "holdout": options.holdout, "downscale": options.downscale}
+    return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **found, **where}
+
+
+def measure_into(subject: Target, views: Dataset, out: Path | None, progress: Progress) -> Result:
+    """`Score.result` of all views; out: as for `evaluate`."""
     score = Score()
     if out is None:
         _measure(subject, views, score, None, progress)
@@ -72,9 +80,7 @@ def evaluate(
             sheet = _measure(subject, views, score, folder, progress)
             (folder / "contact.png").write_bytes(png_bytes(sheet))
             (folder / "views.json").write_bytes(json_bytes(score.views()))
-    where = {"out": str(out)} if out is not None else {}
-    measured = {"split": views.split, "holdout": options.holdout, "downscale": options.downscale}
-    return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **score.result(), **where}
+    return score.result()
 
 
 def held_out(path: Path, options: DatasetOptions) -> Dataset:
