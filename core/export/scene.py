@@ -22,7 +22,7 @@ from ..grid.box import CELL_VOXELS
 from ..grid.snerg import NETWORK_TRANSMITTANCE, Snerg, blocks_of
 from ..guard import check_file, reading
 from ..progress import Progress, silent
-from ..schema import flag, number, numbers, pose, positive, record, rotation, whole
+from ..schema import flag, number, numbers, pose, positive, record, rotation, shown, whole
 from .atlas import MAX_ATLAS_CELLS, PLANES, atlas_blocks, cells_from_slices, slices
 from .codecs import CodecSettings, VideoWriter, encode, pictures_of, pixels_of, read_picture, read_video, suffix
 
@@ -207,6 +207,7 @@ def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def _read(folder: Path, value: dict[str, Any]) -> Snerg:
+    _check_unused(value)
     x, y, z = (whole(n, "shape", 1, MAX_VOXELS) for n in value["shape"])
     blocks = blocks_of((x, y, z))
     check_blocks(blocks)
@@ -226,6 +227,13 @@ def _read(folder: Path, value: dict[str, Any]) -> Snerg:
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
         fill_holes=flag(value["fill_holes"], "fill_holes"),
     )
+
+
+def _check_unused(value: dict[str, Any]) -> None:
+    """Check the values that are stored for other programs only: the web page reads network_transmittance."""
+    number(value["network_transmittance"], "network_transmittance", 0, 1)
+    for name, chosen in record(value["effects"], "effects").items():
+        flag(chosen, f"effects[{shown(name)}]")
 
 
 def _network(value: dict[str, Any]) -> ViewNetwork:
