@@ -23,7 +23,7 @@ from .errors import SnergError, needs_jax
 from .evaluate import background_of, evaluate, options_of, ready_scene, trained
 from .export.bundle import viewer_files, write_bundle
 from .export.codecs import CodecSettings
-from .export.reference import write_reference
+from .export.reference import reference_files, write_reference
 from .export.scene import PNG, check_storable, codec_of, is_current, is_scene, scene_files, write_scene
 from .field.checkpoint import is_field, read_field, write_field
 from .field.setting_names import with_values
@@ -269,12 +269,14 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
 
 
 def published(scene: Path) -> Snerg:
-    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+    """A baked scene to publish. Raises SnergError where it takes a file from elsewhere, through a link."""
 
     def read() -> Snerg:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
             if is_scene(folder):
                 scene_files(folder)
+        if kind_of(scene) == "reference scene":
+            reference_files(scene)
         return any_scene(scene)
 
     return one_generation(scene, read)

@@ -26,7 +26,7 @@ from ..capture.images import png_bytes, read_image, read_size
 from ..capture.ndc import Ndc
 from ..errors import SnergError
 from ..field.networks import SHAPES, ViewNetwork
-from ..files import json_bytes, new_folder, one_generation, read_json
+from ..files import check_own, json_bytes, new_folder, one_generation, read_json
 from ..grid.box import CELL_VOXELS, DATA_VOXELS
 from ..grid.snerg import Snerg, blocks_of
 from ..guard import reading, why
@@ -376,6 +376,22 @@ def _network(value: dict[str, Any]) -> ViewNetwork:
     for key, shape in zip(KERNELS, SHAPES, strict=True):
         arrays.append(numbers(value[key], key, shape, LARGEST).astype(np.float32))
     return ViewNetwork(*arrays)
+
+
+def reference_files(folder: Path) -> list[Path]:
+    """The files that scene_params.json names, of a folder that `read_reference` reads.
+
+    Raises SnergError when one of them is a link or missing.
+    """
+    check_own(folder / "scene_params.json")  # before it is read
+    params = read_params(folder)
+    kinds = ("rgba",) if params.network is None else ("rgba", "feature")
+    slices = range(params.atlas[2] * CELL_VOXELS // PLANES)
+    names = ["scene_params.json", "atlas_indices.png", *(f"{kind}_{index:03d}.png" for kind in kinds for index in slices)]
+    files = [folder / name for name in names]
+    for path in files:
+        check_own(path)
+    return files
 
 
 def read_indices(folder: Path, params: ReferenceParams) -> tuple[np.ndarray, np.ndarray]:
