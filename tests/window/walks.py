@@ -45,6 +45,9 @@ def training(window: Window, photos: str) -> Walk:
     yield from window.open_sidebar()
     yield from window.click("snerg.cancel", FROM_RIGHT)
     window.seen["stopped"] = yield from window.until(lambda: not window.busy(), 60)
+    yield from window.wait(2)
+    window.shoot("untouched")  # no event since: the panel must have been drawn again by itself
+    yield from window.picture("touched")
     yield from window.picture("elsewhere")
     yield from another_workspace(window, "PAGE_UP")
     yield from window.wait(1)
@@ -154,6 +157,7 @@ def import_dialog(window: Window, photos: str) -> Walk:
     yield from window.until(lambda: browser(window) is not None, 10)
     parameters = browser(window).spaces.active.params
     window.seen["proposed"] = parameters.filename
+    window.seen["shows"] = [parameters.use_filter, parameters.use_filter_folder, parameters.filter_glob]
     parameters.directory, parameters.filename = photos.encode(), ""
     yield from window.wait(1)
     window.shoot("browser")
@@ -219,6 +223,32 @@ def come_back(window: Window) -> Walk:
     yield from window.until(lambda: not window.busy(), 200)
     window.seen["field"] = window.texts("field")
     yield from window.picture("ended")
+
+
+def flat_box(window: Window, trained: str) -> Walk:
+    """Bake in a box of zero thickness."""
+    yield from begin(window, "artwork")
+    window.operator("import_field", filepath=trained)
+    yield from window.click("snerg.add_box")
+    window.settings.box.scale.z = 0
+    yield from window.wait(0.5)
+    window.seen["box"], window.seen["bake_before"] = window.texts("box"), window.texts("bake")
+    yield from window.picture("flat")
+    yield from window.click("snerg.bake")
+    yield from window.wait(2)
+    window.seen["busy"], window.seen["main"] = window.busy(), window.texts("main")
+    yield from window.picture("after")
+
+
+def unwritable(window: Window, photos: str, folder: str) -> Walk:
+    """Train into a project folder that cannot be written."""
+    yield from begin(window, "artwork", photos)
+    window.settings.folder = folder
+    yield from window.wait(0.5)
+    yield from window.click("snerg.train")
+    yield from window.wait(2)
+    window.seen["busy"], window.seen["main"] = window.busy(), window.texts("main")
+    yield from window.picture("after")
 
 
 def begin(window: Window, name: str, photos: str = "") -> Walk:
