@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..artifact import Result, any_field, any_scene, kind_of
+from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import read_dataset
 from ..errors import SnergError, needs_jax
@@ -116,7 +116,7 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
             import jax  # noqa: F401  # evaluating a field compiles it
 
             from ..nerf.render import render_field
-        field = any_field(path)
+        field = open_field(path)
         known = trained(field.about)
         return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
     if kind in ("scene", "reference scene", "page"):
@@ -130,7 +130,7 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
 def ready_scene(path: Path, settings: MarchSettings) -> Scene:
     """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
     one that the settings ask for a network at every sample."""
-    snerg = any_scene(path)
+    snerg = open_scene(path)
     if settings.per_sample_network and snerg.network is None:
         raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
     acceleration_of(snerg)
