@@ -63,9 +63,9 @@ def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
     stop = row.row(align=True)
     stop.enabled = not task.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
+    column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
     for note in task.notes:
         draw_sentence(column, note, "DOT", LINE_WIDTH - 6)
-    column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
 
 
 def next_step(scene: bpy.types.Scene) -> str:
