@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -297,3 +298,11 @@ def test_damaged_folders_are_no_reason_to_fail(tmp_path):
     assert folders.label_of(folder) == "another job" and not folders.is_alive(folder)
     child = Job.found(folder)
     assert not child.poll() and child.state == "failed"
+
+
+def test_the_launcher_and_the_jobs_agree_on_their_variables():
+    """The launcher cannot import core before it has made it importable, and has the names twice."""
+    spec = importlib.util.spec_from_file_location("launcher", ROOT / "launcher.py")
+    launcher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launcher)
+    assert (launcher.IMPORT_PATH, launcher.JOB) == (runner.IMPORT_PATH, folders.VARIABLE)
