@@ -79,20 +79,20 @@ def a_field(project) -> str:
     return str(version)
 
 
-def a_verb(operator: str, work) -> type:
-    """A long verb that starts `work`; its result is finished by the real operator of that name."""
+def an_operator(operator: str, work) -> type:
+    """An operator that starts `work`; its result is finished by the real operator of that name."""
 
-    class Verb(task_operator.TaskOperator):
+    class Starts(task_operator.TaskOperator):
         bl_idname, step, label = operator, "field", "Training"
 
         def start(self, context, project):
             return work
 
-    return Verb
+    return Starts
 
 
 def launch(operator: str, work) -> Activity:
-    return task_operator.launch(a_verb(operator, work)(), bpy.context)
+    return task_operator.launch(an_operator(operator, work)(), bpy.context)
 
 
 def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):

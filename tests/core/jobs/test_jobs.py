@@ -162,7 +162,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
         job("return {}").begin(tmp_path / "file", {})
 
 
-def test_the_launcher_runs_a_verb(tmp_path):
+def test_the_launcher_runs_a_command(tmp_path):
     child = start_command(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
     with pytest.raises(SnergError, match="missing"):
         child.wait()
