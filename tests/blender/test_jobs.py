@@ -335,7 +335,7 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
     for _ in range(kills):
         begun = launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
         view = rng.randint(min(views_rendered(project.own_dataset)[0] + 2, 5), 5)
-        until(lambda: begun.task.state != "running" or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
+        until(lambda: begun.task.ended or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
         time.sleep(rng.uniform(0.0, 0.1))
         if folders.is_alive(begun.task.folder):
             os.kill(int((begun.task.folder / folders.LOCK).read_text()), signal.SIGKILL)
