@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -25,6 +26,7 @@ from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_rendered
+from snerg.snerg_addon.panels.main import draw_task
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.render_job import render_job
 
@@ -104,6 +106,15 @@ def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
     until(lambda: not activity.current())
     assert activity.last_report(project.folder) == (f"Trained the field at 31.2 dB; it is in {project.field}", True)
     assert project.notes()["field"]["steps"] == 60
+
+
+def test_the_panel_shows_what_goes_on_together_with_the_notes():
+    job = Job([])
+    job.text, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
+    layout = MagicMock()
+    draw_task(layout, Activity("field", "Training", job))
+    drawn = str(layout.mock_calls)
+    assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
 
 
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
