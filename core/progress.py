@@ -42,11 +42,11 @@ class ProgressEvent:
         fraction = value.get("progress")
         if not isinstance(fraction, int | float):
             return None
-        return cls(float(fraction), str(value.get("message", "")), value.get("sticky") is True)
+        return cls(float(fraction), str(value.get("message", "")), value.get("note") is True)
 
     def to_json(self) -> dict[str, Any]:
-        """{"progress", "message"}, and "sticky" where it is."""
-        return {"progress": self.fraction, "message": self.text, **({"sticky": True} if self.sticky else {})}
+        """{"progress", "message"}, and "note": true where it is sticky."""
+        return {"progress": self.fraction, "message": self.text, **({"note": True} if self.sticky else {})}
 
 
 def silent(fraction: float, text: str, /) -> None:

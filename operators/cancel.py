@@ -22,7 +22,7 @@ class SNERG_OT_cancel(bpy.types.Operator):
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
         """The tooltip, which names the task."""
-        label = next((begun.label for begun in activity.current() if begun.key == properties.work), "all running tasks")
+        label = next((running.label for running in activity.current() if running.key == properties.work), "all running tasks")
         return f"Stop: {label}. What is finished so far is kept"
 
     @classmethod
@@ -33,9 +33,9 @@ class SNERG_OT_cancel(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Ask the tasks to stop; the timer (watch.py) notices when they have ended."""
         try:
-            for begun in activity.current():
-                if self.work in ("", begun.key):
-                    begun.task.cancel()
+            for running in activity.current():
+                if self.work in ("", running.key):
+                    running.task.cancel()
         except SnergError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

@@ -31,6 +31,7 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
     key, noun = "dataset", "dataset"
+    accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """Read the dataset in a thread. Only `finish` changes the scene, so that one undo removes it all."""

@@ -17,14 +17,21 @@ from .task_operator import TaskOperator
 
 
 class ImportOperator(TaskOperator):
-    """key: the step of the project that the import fills, and the end of the operator's name. noun: what it imports, in a sentence."""
+    """key: the step of the project that the import fills, and the end of the operator's name. noun: what it imports, in a sentence.
+
+    accepted: a filter for the files that the file browser shows, besides folders.
+    """
 
     key: ClassVar[str]
     noun: ClassVar[str]
+    accepted: ClassVar[str] = "*"
 
     filepath: bpy.props.StringProperty(
         name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATHS}
     )
+
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser first, where there is a window and no path yet."""
@@ -32,6 +39,7 @@ class ImportOperator(TaskOperator):
             return super().invoke(context, event)
         self._from_browser = True
         self.filepath = bpy.path.abspath("//") if bpy.data.filepath else ""  # else the browser proposes the .blend's own name
+        self.filter_glob = self.accepted
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

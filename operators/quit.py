@@ -45,7 +45,7 @@ class SNERG_OT_quit(bpy.types.Operator):
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
         """Whether jobs run; if not, Blender continues with the key's own operator."""
-        return any(begun.is_job for begun in activity.current())
+        return any(running.is_job for running in activity.current())
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Open the dialog."""
@@ -55,11 +55,11 @@ class SNERG_OT_quit(bpy.types.Operator):
     def draw(self, _context: bpy.types.Context) -> None:
         """The running tasks, and the choice."""
         layout = self.layout
-        for begun in activity.current():
-            layout.label(text=f"{begun.label}: {begun.task.text}", icon="SORTTIME" if begun.outlives else "ERROR")
-            if not begun.is_job:
+        for running in activity.current():
+            layout.label(text=f"{running.label}: {running.task.text}", icon="SORTTIME" if running.outlives else "ERROR")
+            if not running.is_job:
                 layout.label(text="Stops in any case: it runs inside Blender")
-            elif not begun.outlives:
+            elif not running.outlives:
                 layout.label(text="Stops with Blender: the file was never saved")
         layout.prop(self, "jobs", expand=True)
 
@@ -67,8 +67,8 @@ class SNERG_OT_quit(bpy.types.Operator):
         """Stop the tasks if chosen, then close the file. Blender itself asks about unsaved changes."""
         if self.jobs == "STOP":
             try:
-                for begun in activity.current():
-                    begun.task.cancel()
+                for running in activity.current():
+                    running.task.cancel()
             except SnergError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}

@@ -96,10 +96,10 @@ def launch(operator: TaskOperator, context: bpy.types.Context) -> Activity:
         if any(isinstance(other.task, Job) and other.task.arguments == task.arguments for other in others):
             raise SnergError(f"{operator.label} with these settings is already running; wait for it or stop it first.")
         task.begin(project.folder, record_of(operator, scene))
-    begun = Activity(operator.step, operator.label, task, name, project.folder, scene.name, scene.session_uid)
-    activity.begin(begun)
+    started = Activity(operator.step, operator.label, task, name, project.folder, scene.name, scene.session_uid)
+    activity.begin(started)
     redraw()
-    return begun
+    return started
 
 
 def scene_project(scene: bpy.types.Scene) -> Project:

@@ -33,8 +33,8 @@ def tick() -> float:
         _stale = _stale or bool(activity.current())
         saving.move_saved_projects()
         find()
-        for begun in activity.current():
-            follow(begun)
+        for running in activity.current():
+            follow(running)
         if _stale or activity.current():
             _stale = not redraw()
     except Exception:  # Blender never calls a timer again that raised, and no task would end any more
@@ -46,13 +46,13 @@ def find() -> None:
     """Show the jobs of the open scenes' projects and no others. Cancel work inside Blender whose scene was deleted."""
     scenes = {project_of(scene).folder: scene for scene in reversed(bpy.data.scenes)}
     sessions = {scene.session_uid for scene in bpy.data.scenes}
-    for begun in activity.current():
-        if not begun.is_job and begun.session not in sessions:
-            begun.task.cancel()
-            activity.end(begun)
-        elif begun.is_job and begun.project not in scenes:
-            activity.end(begun)
-    known = {begun.key for begun in activity.current()}
+    for running in activity.current():
+        if not running.is_job and running.session not in sessions:
+            running.task.cancel()
+            activity.end(running)
+        elif running.is_job and running.project not in scenes:
+            activity.end(running)
+    known = {running.key for running in activity.current()}
     for project, scene in scenes.items():
         for folder in folders.job_folders(project):
             if str(folder) not in known and not (folder / folders.TAKEN).exists():
@@ -67,39 +67,39 @@ def found(job: Job, scene: bpy.types.Scene, project: Path) -> Activity:
     return Activity(texts["step"], texts["label"] or "A job", job, texts["operator"], project, name)
 
 
-def follow(begun: Activity) -> None:
+def follow(running: Activity) -> None:
     """Poll its task. When the task has ended, finish it and report the outcome."""
-    task = begun.task
+    task = running.task
     if task.poll():
         return
-    activity.end(begun)
+    activity.end(running)
     if isinstance(task, Job) and task.folder is not None:
         shutil.rmtree(task.folder / folders.INPUT, ignore_errors=True)  # left there by a job that was killed
         if not folders.take(task.folder):
             return
     if task.state == "done":
-        activity.report(begun.project, *take_result(begun))
+        activity.report(running.project, *take_result(running))
     else:
-        activity.report(begun.project, f"{begun.label}: {task.error}", False)
+        activity.report(running.project, f"{running.label}: {task.error}", False)
         if isinstance(task, Job) and task.state == "failed":
             print(*task.log, sep="\n")
 
 
-def take_result(begun: Activity) -> tuple[str, bool]:
+def take_result(running: Activity) -> tuple[str, bool]:
     """Let its operator finish. Returns the sentence to report, and whether all went well."""
-    scene, operator = bpy.data.scenes.get(begun.scene), operator_class(begun.operator)
+    scene, operator = bpy.data.scenes.get(running.scene), operator_class(running.operator)
     if scene is None or operator is None:
-        return f"{begun.label} has ended; its result is in {begun.project}.", True
+        return f"{running.label} has ended; its result is in {running.project}.", True
     finisher = Finisher(operator)
     try:
-        sentence = finisher.finish(scene, project_of(scene), begun.task.result)
+        sentence = finisher.finish(scene, project_of(scene), running.task.result)
     except SnergError as error:
         return str(error), False
     except Exception as error:  # a damaged result, or a bug: the panel must not wait for ever
         traceback.print_exc()
         return f"The result could not be used ({type(error).__name__}: {error}); see Blender's console for details.", False
     if "UNDO" in getattr(operator, "bl_options", ()):
-        remember_for_undo(begun.label)
+        remember_for_undo(running.label)
     return " ".join([sentence, *finisher.warnings]), not finisher.warnings
 
 
@@ -136,8 +136,8 @@ def remember_for_undo(label: str) -> None:
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
     """Draw each activity at the end of the status bar, in every window and workspace."""
-    for begun in activity.current():
-        header.layout.label(text=f"SNeRG: {begun.label}, {begun.task.fraction:.0%}")
+    for running in activity.current():
+        header.layout.label(text=f"SNeRG: {running.label}, {running.task.fraction:.0%}")
 
 
 def register() -> None:

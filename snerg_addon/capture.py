@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 
 import bpy
 
+from ..core.data.dataset import DatasetOptions
 from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
@@ -34,7 +35,7 @@ RENDERING = "rendering.json"  # in an unfinished dataset: its `rendering_key`
 class CaptureSettings:
     """test_every: every n-th view is held out for testing; 0 holds none out."""
 
-    test_every: int = 8
+    test_every: int = DatasetOptions.holdout
 
 
 def render_dataset(

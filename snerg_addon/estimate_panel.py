@@ -70,4 +70,4 @@ def summary(value: dict[str, Any]) -> list[str]:
     seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
     time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
     memory = f"{value['peak_megabytes'] / 1000:.1f} GB of memory"
-    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {value['preview']:.2g} s a preview"]
+    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {value['preview']:.2g} s per preview"]

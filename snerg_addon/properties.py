@@ -8,10 +8,14 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
+from ..core.data.dataset import DatasetOptions
+from ..core.data.rig import RigSettings
+from ..core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
+
 # Blender 5 shows a path that starts with // in red unless the property has this option.
 RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0) else set()
 
-LOSSY = ("jpeg", "avif")  # the codecs below that have a quality
+LOSSY = tuple(name for name in SUFFIXES if name not in LOSSLESS)
 
 
 def _is_empty(_settings: Any, thing: bpy.types.Object) -> bool:
@@ -52,19 +56,19 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     test_every: IntProperty(
         name="Hold Out Every",
         description="Use every n-th view to measure the quality instead of training on it, unless the dataset says which. 0: hold out none",
-        default=8,
+        default=DatasetOptions.holdout,
         min=0,
         soft_max=20,
     )
     downscale: IntProperty(
         name="Downscale",
         description="Train on images this many times smaller in width and height: faster, but less sharp",
-        default=1,
+        default=DatasetOptions.downscale,
         min=1,
         soft_max=8,
         max=64,
     )
-    rig_count: IntProperty(name="Cameras", description="Number of cameras of the rig", default=100, min=1, soft_max=500)
+    rig_count: IntProperty(name="Cameras", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
     rig_shape: EnumProperty(
         name="Shape",
         description="Where the rig's cameras are placed",
@@ -78,7 +82,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Field of View",
         description="Field of view of the rig's cameras along the shorter side of the image",
         subtype="ANGLE",
-        default=math.radians(40),
+        default=RigSettings.angle,
         min=math.radians(1),
         max=math.radians(150),
     )
@@ -86,7 +90,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Distance",
         description="Distance of the rig's cameras from the centre of the box. 0: the whole box just fits into the image",
         subtype="DISTANCE",
-        default=0.0,
+        default=RigSettings.distance,
         min=0.0,
     )
 
@@ -241,7 +245,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     quality: IntProperty(
         name="Quality",
         description="Quality of JPEG and AVIF: higher values give larger files",
-        default=90,
+        default=CodecSettings.quality,
         min=1,
         max=100,
     )

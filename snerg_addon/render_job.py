@@ -17,10 +17,10 @@ from ..core.jobs import folder as folders
 from ..core.jobs.protocol import job_reporter, own_folder, run_job
 from ..core.jobs.runner import LAUNCHER, Job, job_environment
 from ..core.progress import Progress
+from ..launcher import RENDER
 from .bridge import resolution
 from .capture import CaptureSettings, Shot, render_dataset
 
-ARGUMENT = "--render-job"  # launcher.RENDER, which that script cannot import from here
 COPY, ORDER = "scene.blend", "render.json"
 
 
@@ -51,7 +51,7 @@ def render_job(
         write_bytes(source / ORDER, json_bytes({**order, "images": save_painted(source)}))
         save_copy(source / COPY)
 
-    return Job([*interpreter(), str(LAUNCHER), *(["--"] if bpy.app.binary_path else []), ARGUMENT], job_environment(), prepare)
+    return Job([*interpreter(), str(LAUNCHER), *(["--"] if bpy.app.binary_path else []), RENDER], job_environment(), prepare)
 
 
 def interpreter() -> list[str]:

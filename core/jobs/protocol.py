@@ -3,7 +3,7 @@
 A job is a command of the command line that runs in a process of its own. It writes JSON, one object a line, to its standard output,
 which is the file `events.jsonl` of the job's folder (folder.py):
 
-    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these (progress.ProgressEvent); with "sticky": true the message
+    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these (progress.ProgressEvent); with "note": true the message
                                                            stays on the screen, with "waiting": true the job waits for its turn
     {"result": {...}}                                      what the command returns; exit 0
     {"error": "one sentence"}                              exit 2

@@ -141,11 +141,10 @@ class Task(ABC):
 
     def _report(self, event: ProgressEvent, state: Literal["waiting", "running"] = "running") -> None:
         """Take in how far the work is. A task that was asked to stop keeps saying so."""
+        self.fraction = event.fraction
         if event.sticky:
             self.notes.append(event.text)
-            return
-        self.fraction = event.fraction
-        if self.state != "cancelling":
+        elif self.state != "cancelling":
             self.state, self.text = state, event.text
 
     def _finish(self, outcome: Outcome) -> None:

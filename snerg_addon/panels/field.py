@@ -73,11 +73,13 @@ def shown_training(project: Project) -> Path:
 
 
 def curve_texts(curve: Curve) -> tuple[str, str]:
-    """('31.2 dB on held-out views', '4200 steps, 2:31 min')."""
+    """('31.2 dB on held-out views', '4200 steps, 2:31 min'); both empty before the first line of the log."""
     if curve.held_out is not None:
         quality = f"{curve.held_out:.1f} dB on held-out views"
     else:
         quality = f"{curve.psnr:.1f} dB on training rays" if curve.psnr is not None else ""
+    if not curve.steps:
+        return quality, ""
     return quality, joined(f"{curve.steps} steps", f"{int(curve.seconds) // 60}:{int(curve.seconds) % 60:02d} min")
 
 

@@ -9,7 +9,8 @@ import bpy
 
 from ..project import project_of
 
-LINE_WIDTH = 44  # characters that fit beside an icon or in a box, in the sidebar at its default width
+LINE_WIDTH = 38  # characters of a line in a box that fit into the sidebar at its default width
+ICON_LINE_WIDTH = 34  # of a line with an icon
 
 
 class SidebarPanel:
@@ -51,9 +52,9 @@ def draw_box(layout: bpy.types.UILayout, *lines: str) -> None:
             column.label(text=line)
 
 
-def draw_sentence(layout: bpy.types.UILayout, sentence: str, icon: str, width: int = LINE_WIDTH) -> None:
-    """Draw a sentence with an icon, on as many lines of `width` characters as it takes."""
-    for index, line in enumerate(textwrap.wrap(sentence, width)):
+def draw_sentence(layout: bpy.types.UILayout, sentence: str, icon: str) -> None:
+    """Draw a sentence with an icon, on as many lines as it takes."""
+    for index, line in enumerate(textwrap.wrap(sentence, ICON_LINE_WIDTH)):
         layout.label(text=line, icon="BLANK1" if index else icon)
 
 

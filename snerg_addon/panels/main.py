@@ -10,7 +10,7 @@ from .. import activity, saving
 from ..bridge import PREVIEW, box_of
 from ..owner import adoptable_project
 from ..project import project_of
-from .layout import LINE_WIDTH, SidebarPanel, draw_sentence
+from .layout import SidebarPanel, draw_sentence
 
 
 class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
@@ -30,7 +30,7 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
         for running in activity.current(project):
             draw_task(layout, running)
         if report := activity.last_report(project):
-            draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR", LINE_WIDTH - 6)
+            draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR")
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
 
@@ -38,7 +38,7 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
 def draw_project(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Which file and scene the project belongs to, and another project that the artist may want in its place."""
     if not bpy.data.filepath:
-        layout.label(text="Saving the file moves the project beside it", icon="INFO")
+        draw_sentence(layout.column(align=True), "The project moves beside the .blend when you save the file.", "INFO")
         for folder in saving.orphaned_projects()[:1]:
             row = layout.row()
             row.label(text="Project of a file never saved")
@@ -63,9 +63,9 @@ def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
     stop = row.row(align=True)
     stop.enabled = not task.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
-    for note in task.notes:
-        draw_sentence(column, note, "DOT", LINE_WIDTH - 6)
     column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
+    for note in task.notes:
+        draw_sentence(column, note, "DOT")
 
 
 def next_step(scene: bpy.types.Scene) -> str:

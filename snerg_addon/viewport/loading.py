@@ -7,7 +7,7 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...core.artifact import any_scene
+from ...core.artifact import open_scene
 from ...core.errors import SnergError
 from ...core.scene.scene import Scene
 
@@ -71,7 +71,7 @@ def _stamp(folder: Path) -> int:
 
 def _read(folder: Path, entry: Loaded) -> None:
     try:
-        entry.scene = any_scene(folder)
+        entry.scene = open_scene(folder)
     except SnergError as error:
         entry.problem = str(error)
     except Exception as error:  # said on the object, and in the console

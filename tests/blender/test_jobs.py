@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -25,6 +26,7 @@ from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_rendered
+from snerg.snerg_addon.panels.main import draw_task
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.render_job import render_job
 
@@ -79,20 +81,20 @@ def a_field(project) -> str:
     return str(version)
 
 
-def a_verb(operator: str, work) -> type:
-    """A long verb that starts `work`; its result is finished by the real operator of that name."""
+def an_operator(operator: str, work) -> type:
+    """An operator that starts `work`; its result is finished by the real operator of that name."""
 
-    class Verb(task_operator.TaskOperator):
+    class Starts(task_operator.TaskOperator):
         bl_idname, step, label = operator, "field", "Training"
 
         def start(self, context, project):
             return work
 
-    return Verb
+    return Starts
 
 
 def launch(operator: str, work) -> Activity:
-    return task_operator.launch(a_verb(operator, work)(), bpy.context)
+    return task_operator.launch(an_operator(operator, work)(), bpy.context)
 
 
 def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
@@ -104,6 +106,15 @@ def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
     until(lambda: not activity.current())
     assert activity.last_report(project.folder) == (f"Trained the field at 31.2 dB; it is in {project.field}", True)
     assert project.notes()["field"]["steps"] == 60
+
+
+def test_the_panel_shows_what_goes_on_together_with_the_notes():
+    job = Job([])
+    job.text, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
+    layout = MagicMock()
+    draw_task(layout, Activity("field", "Training", job))
+    drawn = str(layout.mock_calls)
+    assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
 
 
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
@@ -335,7 +346,7 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
     for _ in range(kills):
         begun = launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
         view = rng.randint(min(views_rendered(project.own_dataset)[0] + 2, 5), 5)
-        until(lambda: begun.task.state != "running" or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
+        until(lambda: begun.task.ended or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
         time.sleep(rng.uniform(0.0, 0.1))
         if folders.is_alive(begun.task.folder):
             os.kill(int((begun.task.folder / folders.LOCK).read_text()), signal.SIGKILL)

@@ -20,10 +20,10 @@ from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
 
 
-def refused(verb: str, match: str, **keywords) -> None:
+def refused(name: str, match: str, **keywords) -> None:
     """The operator must report an error; from a script, Blender raises it with the report's text."""
     with pytest.raises(RuntimeError, match=match):
-        getattr(bpy.ops.snerg, verb)(**keywords)
+        getattr(bpy.ops.snerg, name)(**keywords)
 
 
 def files(scene) -> list[str]:
@@ -33,7 +33,7 @@ def files(scene) -> list[str]:
 
 def test_each_step_says_what_it_is_waiting_for(scene):
     assert next_step(scene) == "Next: render or import a dataset"
-    for verb, match in (
+    for name, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
         ("estimate", "no field"),
@@ -42,7 +42,7 @@ def test_each_step_says_what_it_is_waiting_for(scene):
         ("export_scene", "no baked scene"),
         ("export_web", "no baked scene"),
     ):
-        refused(verb, match)
+        refused(name, match)
     assert files(scene) == []
 
 
@@ -58,11 +58,11 @@ def test_rendering_without_cameras_or_box_is_refused(scene):
     assert files(scene) == []
 
 
-def started(monkeypatch, verb: str) -> list[str]:
+def started(monkeypatch, name: str) -> list[str]:
     """The command line that an operator would start."""
-    module = importlib.import_module(f"snerg.operators.{verb}")
+    module = importlib.import_module(f"snerg.operators.{name}")
     monkeypatch.setattr(module, "start_command", lambda arguments: arguments)
-    return getattr(module, f"SNERG_OT_{verb}").start(None, bpy.context, project_of(bpy.context.scene))
+    return getattr(module, f"SNERG_OT_{name}").start(None, bpy.context, project_of(bpy.context.scene))
 
 
 def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
@@ -76,8 +76,8 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert started(monkeypatch, "export_web")[-2:] == ["--codec", "webp"]
     scene.snerg.codec, scene.snerg.quality = "avif", 70
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
-    for verb in ("bake", "export_web"):  # every option is one that there is
-        assert parser().parse_args(started(monkeypatch, verb)).verb == verb.replace("export_web", "bundle")
+    for name in ("bake", "export_web"):  # every option is one that there is
+        assert parser().parse_args(started(monkeypatch, name)).verb == name.replace("export_web", "bundle")
 
 
 @pytest.mark.slow

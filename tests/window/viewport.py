@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from drive import Actions, Window
+from drive import Walk, Window
 
 CUBES = {"front": ((0.0, -1.5, 0.0), (1, 0, 0, 1)), "behind": ((0.0, 1.5, 0.7), (0, 0, 1, 1))}
 
@@ -20,7 +20,7 @@ def part(name: str) -> Any:
     return importlib.import_module(f"bl_ext.user_default.snerg_addon.{name}")
 
 
-def gpu_frames(window: Window, folder: str, cameras: str) -> Actions:
+def gpu_frames(window: Window, folder: str, cameras: str) -> Walk:
     """The largest and the mean difference, in levels of 8 bits, of the card's picture from NumPy's, of each camera."""
     gpu_scene, view = part("snerg_addon.viewport.gpu_scene"), part("snerg_addon.viewport.view")
     rendering, files = part("core.rendering.render"), part("core.export.scene_files")
@@ -44,7 +44,7 @@ def gpu_frames(window: Window, folder: str, cameras: str) -> Actions:
         yield
 
 
-def between_meshes(window: Window, folder: str) -> Actions:
+def between_meshes(window: Window, folder: str) -> Walk:
     """A green block between a red cube in front and a blue one behind, in each shading; where on the picture each should be seen."""
     data = bpy.data
     for thing in list(data.objects):

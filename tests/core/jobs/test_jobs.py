@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -75,6 +76,16 @@ def test_result_and_progress_arrive():
     child = job("for k in range(5): progress(k / 5, f'step {k} \\u00e9'); time.sleep(0.05)\nreturn {'psnr': 31.5}")
     assert child.wait(lambda fraction, message: said.append((fraction, message)), interval=0.01) == {"psnr": 31.5}
     assert any(message.endswith("\u00e9") for _, message in said)
+
+
+def test_a_note_does_not_hide_what_goes_on():
+    said: list[str] = []
+    child = job(
+        "from snerg.core.progress import Note\nprogress(0.0, 'Compiling')\nprogress(0.0, Note('NDC: no.'))\ntime.sleep(1)\nreturn {}"
+    )
+    child.wait(lambda fraction, message: said.append(message))
+    assert child.text == "Compiling" and child.notes == ["NDC: no."]
+    assert said.count("NDC: no.") == 1 and said[-1] == "Compiling"
 
 
 def test_stray_prints_do_not_break_the_protocol(tmp_path):
@@ -161,7 +172,7 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
         job("return {}").begin(tmp_path / "file", {})
 
 
-def test_the_launcher_runs_a_verb(tmp_path):
+def test_the_launcher_runs_a_command(tmp_path):
     child = start_command(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
     with pytest.raises(SnergError, match="missing"):
         child.wait()
@@ -297,3 +308,11 @@ def test_damaged_folders_are_no_reason_to_fail(tmp_path):
     assert folders.label_of(folder) == "another job" and not folders.is_alive(folder)
     child = Job.found(folder)
     assert not child.poll() and child.state == "failed"
+
+
+def test_the_launcher_and_the_jobs_agree_on_their_variables():
+    """The launcher cannot import core before it has made it importable, and has the names twice."""
+    spec = importlib.util.spec_from_file_location("launcher", ROOT / "launcher.py")
+    launcher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launcher)
+    assert (launcher.IMPORT_PATH, launcher.JOB) == (runner.IMPORT_PATH, folders.VARIABLE)
