@@ -14,6 +14,7 @@ def classes() -> tuple[type[Any], ...]:
         cancel,
         estimate,
         export_scene,
+        export_vdb,
         export_web,
         import_dataset,
         import_field,
@@ -29,6 +30,6 @@ def classes() -> tuple[type[Any], ...]:
 
     modules = (
         *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
-        *(export_scene, export_web, versions, cancel, quit, open_folder),
+        *(export_scene, export_web, export_vdb, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -35,6 +35,7 @@ class SNERG_PT_object(bpy.types.Panel):
         elif entry.scene is None:
             layout.label(text="Reading the scene", icon="TIME")
         else:
+            layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             draw_box(
