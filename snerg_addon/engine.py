@@ -17,7 +17,7 @@ from ..core.progress import Progress
 from ..core.rendering.render import render_scene
 from ..core.scene.scene import Scene
 from .bridge import camera_from_blender
-from .scene_object import folder_of, placed_camera
+from .scene_object import placed_camera, source_of
 from .viewport.loading import cached
 
 BAND = 64  # rows of pixels that are rendered, and shown, together
@@ -146,7 +146,7 @@ def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
         if thing.type != "EMPTY" or not thing.snerg.folder or not instance.show_self:
             continue
         matrix = np.array(instance.matrix_world, np.float64)
-        scene = cached(folder_of(thing.original))
+        scene = cached(source_of(thing.original))
         moved, scale = placed_camera(thing.name, scene, matrix, camera)
         yield Placed(scene, moved, scale, thing.pass_index)
 
