@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..artifact import Result, any_scene, kind_of
+from ..artifact import Result, kind_of, open_scene
 from ..export.reference import reference_files, write_reference
 from ..export.scene_files import is_scene, scene_files
 from ..io.files import one_generation
@@ -32,6 +32,6 @@ def published(scene: Path) -> Scene:
                 scene_files(folder)
         if kind_of(scene) == "reference scene":
             reference_files(scene)
-        return any_scene(scene)
+        return open_scene(scene)
 
     return one_generation(scene, read)
