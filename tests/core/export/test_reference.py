@@ -11,7 +11,9 @@ from PIL import Image
 from published_viewer import PublishedViewer
 from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
 from snerg.core.errors import SnergError
-from snerg.core.export.reference import OURS, read_indices, read_params, read_reference, reorient, viewer_axes, write_reference
+from snerg.core.export.reference import read_indices, read_reference, write_reference
+from snerg.core.export.reference_axes import reorient, viewer_axes
+from snerg.core.export.reference_params import SNERG_KEY, read_params
 from snerg.core.geometry.camera import Camera, focal_from_angle
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import read_image
@@ -28,7 +30,7 @@ def centred_camera(pose: np.ndarray, width: int, height: int, near: float = 0.0,
 
 def camera_in_viewer(params: dict, camera_to_world: np.ndarray) -> np.ndarray:
     """Where a camera of the world stands in the viewer's: M takes the viewer's directions to the network's axes."""
-    ours = params[OURS]
+    ours = params[SNERG_KEY]
     axes = np.array(ours["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
     size = np.array(ours["shape"]) * ours["voxel_size"]
     grid = np.array(ours["grid_to_world"])
@@ -113,7 +115,7 @@ def test_forward_facing_scenes_of_other_tools(tmp_path, published):
     write_reference(snerg, tmp_path / "out")
     path = tmp_path / "out" / "scene_params.json"
     params = json.loads(path.read_text())
-    del params[OURS]
+    del params[SNERG_KEY]
     if published:
         params["worldspace_T_opengl"] = np.diag([1, 1, -1, 1]).tolist()
     path.write_text(json.dumps(params))
@@ -135,7 +137,7 @@ def test_the_viewer_opens_at_blenders_front_view(tmp_path):
     """From (0, 1, -4) it sees +x on the right, +z at the top: M is the published Lego's for a box in the world's axes."""
     write_reference(make_snerg(), tmp_path / "out")
     params = json.loads((tmp_path / "out" / "scene_params.json").read_text())
-    axes = np.array(params[OURS]["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
+    axes = np.array(params[SNERG_KEY]["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
     assert np.allclose(axes, [[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
     for name, cells in zip("xyz", (-(-74 // 30) * 30, 95, 65), strict=True):
         assert params["grid_" + {"x": "width", "y": "height", "z": "depth"}[name]] == cells
@@ -180,7 +182,7 @@ def test_an_empty_scene_goes_round(tmp_path):
 def test_without_our_key_a_scene_stands_where_its_matrix_puts_it(tmp_path):
     snerg = Scene(**(vars(make_snerg(centre=(0.5, 0.2, -0.1))) | {"view_rotation": np.eye(3)}))
     write_reference(snerg, tmp_path / "out")
-    change(tmp_path / "out", lambda params: params.pop(OURS))
+    change(tmp_path / "out", lambda params: params.pop(SNERG_KEY))
     back = read_reference(tmp_path / "out")
     camera = centred_camera(looking((2.6, -3.0, 1.5), (0.5, 0.2, -0.1)), 96, 72)
     assert np.abs(render_scene(back, camera).over() - render_scene(snerg, camera).over()).mean() < 1e-3
@@ -270,9 +272,9 @@ DAMAGE = {
     "mirrored": (set_to("worldspace_T_opengl", MIRROR), "mirrors"),
     "scaled": (set_to("worldspace_T_opengl", (2 * np.eye(4)).tolist()), "scales"),
     "no matrix": (set_to("worldspace_T_opengl", [[1, 0], [0, 1]]), "4 x 4"),
-    "our key damaged": (lambda p: p[OURS].pop("shape"), OURS),
-    "our key of another grid": (lambda p: p[OURS].update(shape=[400, 4, 4]), OURS),
-    "our key not a turn": (lambda p: p[OURS].update(viewer_axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), OURS),
+    "our key damaged": (lambda p: p[SNERG_KEY].pop("shape"), SNERG_KEY),
+    "our key of another grid": (lambda p: p[SNERG_KEY].update(shape=[400, 4, 4]), SNERG_KEY),
+    "our key not a turn": (lambda p: p[SNERG_KEY].update(viewer_axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), SNERG_KEY),
 }
 
 
@@ -326,7 +328,7 @@ def test_marcher_reproduces_the_published_viewer_on_a_ball(tmp_path):
     ball = snerg_from_volume((values * 255).astype(np.uint8), snerg.network, grid_to_world=np.eye(4), voxel_size=2 / n)
     write_reference(ball, tmp_path / "ball")
     viewer = PublishedViewer(tmp_path / "ball")
-    change(tmp_path / "ball", lambda params: params.pop(OURS))
+    change(tmp_path / "ball", lambda params: params.pop(SNERG_KEY))
     back = read_reference(tmp_path / "ball")
     axes = np.array(viewer.params["worldspace_T_opengl"])[:3, :3]
     for eye in ((1.6, 0.9, 2.2), (-2.0, 1.4, -1.2)):
