@@ -6,12 +6,14 @@ import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
 const MIN_TILT = 1e-4; // radians: a camera that looks straight down is tilted by this much, so that the orbit keeps its heading
 const MIN_ORBIT_DISTANCE = 0.02; // of the orbit's scale: where a camera is past the centre, it orbits a point this far before it
 
+const UNNAMED = { name: "", projection: "perspective", near: 0 }; // of the cameras that the viewer adds itself
+
 /** The camera whose image spans -1 to 1 in a forward-facing scene's normalised device coordinates. */
 function frameCamera({ camera_to_world, focal }) {
   const [width, height] = [(1000 * focal[1]) / focal[0], 1000];
   const centre = [width / 2, height / 2];
-  const cameraToWorld = matrixOfRows(camera_to_world);
-  return { width, height, focal: [focal[0] * centre[0], focal[1] * centre[1]], centre, projection: "perspective", near: 0, name: "", cameraToWorld };
+  const pixels = [focal[0] * centre[0], focal[1] * centre[1]];
+  return { ...UNNAMED, width, height, focal: pixels, centre, cameraToWorld: matrixOfRows(camera_to_world) };
 }
 
 /**
@@ -55,7 +57,7 @@ export class View {
     const back = new Vector3(0.45, -0.8, 0.4).normalize();
     const cameraToWorld = new Matrix4().lookAt(back, new Vector3(), new Vector3(0, 0, 1));
     cameraToWorld.setPosition(back.multiplyScalar(1.6 * this.orbitScale).add(this.centre));
-    return { width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], projection: "perspective", near: 0, name: "", cameraToWorld };
+    return { ...UNNAMED, width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], cameraToWorld };
   }
 
   /** Show the picture of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
