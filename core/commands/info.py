@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..artifact import Result, any_field, kind_of
+from ..artifact import Result, kind_of, open_field
 from ..data.load import read_dataset
 from ..export.reference import read_reference
 from ..export.reference_params import read_params
@@ -35,8 +35,8 @@ def _info(path: Path) -> Result:
     kind = kind_of(path)
     about = {
         "dataset": _dataset_info,
-        "field": lambda p: _field_info(any_field(p)) | _unfinished(p),
-        "checkpoint": lambda p: _field_info(any_field(p)),
+        "field": lambda p: _field_info(open_field(p)) | _unfinished(p),
+        "checkpoint": lambda p: _field_info(open_field(p)),
         "scene": _stored_info,
         "reference scene": _reference_info,
         "page": _page_info,

@@ -18,7 +18,7 @@ from ..errors import SnergError
 from ..geometry.camera import Camera, rigid
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import json_bytes, new_folder, one_generation
+from ..io.files import check_own, json_bytes, new_folder, one_generation
 from ..io.guard import reading
 from ..io.images import png_bytes, read_image, read_size
 from ..io.schema import flag, number, pose, positive, whole
@@ -26,7 +26,7 @@ from ..progress import Progress, silent
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.scene import Scene, blocks_of
 from .atlas import SLICE_PLANES, atlas_blocks, slice_count
-from .atlas_files import check_atlas_bytes, write_atlas
+from .atlas_files import atlas_file_names, check_atlas_bytes, write_atlas
 from .codecs import PNG
 from .image_files import read_image_file
 from .reference_axes import FLIP_Z, layout_from_ndc, reorient, viewer_scene
@@ -133,6 +133,20 @@ def restore(scene: Scene, ours: dict[str, Any]) -> Scene:
         about=check_about_scene(ours["about"]),
         ndc=ndc,
     )
+
+
+def reference_files(folder: Path) -> list[Path]:
+    """The files of a folder that `read_reference` reads; other files that lie beside them are left out.
+
+    Raises SnergError when one of them is a link or missing.
+    """
+    check_own(folder / "scene_params.json")  # before it is read
+    params = read_params(folder)
+    names = atlas_file_names(PNG, params.atlas, 4 if params.network is None else 8)
+    files = [folder / name for name in ("scene_params.json", "atlas_indices.png", *names)]
+    for path in files:
+        check_own(path)
+    return files
 
 
 def read_indices(folder: Path, params: ReferenceParams) -> tuple[NDArray[Any], NDArray[Any]]:

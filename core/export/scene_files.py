@@ -23,7 +23,17 @@ from .atlas import MAX_ATLAS_CELLS
 from .atlas_files import atlas_file_names, read_atlas, read_float_cells, write_atlas
 from .codecs import PNG, CodecSettings
 from .image_files import read_image_file
-from .scene_json import FLOAT, MAX_VOXELS, VERSION, check_blocks, codec_in, network_from_json, read_scene_json, scene_json
+from .scene_json import (
+    FLOAT,
+    MAX_VOXELS,
+    VERSION,
+    check_blocks,
+    check_viewer_values,
+    codec_in,
+    network_from_json,
+    read_scene_json,
+    scene_json,
+)
 
 
 def write_scene(scene: Scene, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
@@ -93,6 +103,7 @@ def _read_scene(folder: Path) -> Scene:
 
 def _scene(folder: Path, value: dict[str, Any]) -> Scene:
     """The scene of a folder whose scene.json holds `value`."""
+    check_viewer_values(value)
     x, y, z = (whole(n, "shape", 1, MAX_VOXELS) for n in value["shape"])
     blocks = blocks_of((x, y, z))
     check_blocks(blocks)

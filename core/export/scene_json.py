@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import SnergError
 from ..io.files import read_json
-from ..io.schema import numbers
+from ..io.schema import flag, number, numbers, record, shown
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import SHAPES, ViewNetwork
 from ..scene.scene import Scene
@@ -71,6 +71,16 @@ def codec_in(value: dict[str, Any]) -> CodecSettings | None:
     if value["version"] in OLDER_VERSIONS:
         return PNG
     return None if value["codec"] == FLOAT else CodecSettings.from_json(value["codec"])
+
+
+def check_viewer_values(value: dict[str, Any]) -> None:
+    """Check the values that Python does not use: "network_transmittance", which the web page reads, and "effects".
+
+    Raises KeyError or ValueError when one is missing or invalid.
+    """
+    number(value["network_transmittance"], "network_transmittance", 0, 1)
+    for name, chosen in record(value["effects"], "effects").items():
+        flag(chosen, f"effects[{shown(name)}]")
 
 
 def network_from_json(value: dict[str, Any]) -> ViewNetwork:
