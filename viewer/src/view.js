@@ -1,4 +1,4 @@
-// What the page shows: the picture of an exported camera, exactly, until the user moves; then an orbit around the scene.
+// The camera of the page: an exported camera, exactly, until the user moves; then one that orbits the scene.
 import { Matrix4, OrthographicCamera, PerspectiveCamera, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
@@ -23,7 +23,7 @@ function frameCamera({ camera_to_world, focal }) {
  * for scenes of any size at any distance from the world's origin.
  */
 export class View {
-  /** scene: of `readScene`. element: receives the mouse. onChange: called when the picture changes. */
+  /** scene: of `readScene`. element: receives the mouse. onChange: called when the image changes. */
   constructor(scene, element, onChange) {
     this.scene = scene;
     this.onChange = () => {};
@@ -60,7 +60,7 @@ export class View {
     return { ...UNNAMED, width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], cameraToWorld };
   }
 
-  /** Show the picture of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
+  /** Show the image of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
   jump(camera) {
     this.camera = camera;
     this.atCamera = true;
@@ -132,7 +132,7 @@ export class View {
     const pose = this.pose();
     const rotation = rotationOf(pose);
     const raySpaceFromCamera = this.raySpaceFromWorld.clone().multiply(rotation);
-    // Subtracted in the world before anything else: far from the world's origin, products would lose the digits.
+    // Subtract first: far from the world's origin, the difference of two rotated positions would lose precision.
     const cameraPosition = positionOf(pose).sub(this.raySpaceOrigin).applyMatrix4(this.raySpaceFromWorld).divideScalar(this.raySpaceUnit);
     let nearDistance = Math.max(scene.near, camera.near) / this.raySpaceUnit;
     if (orthographic && !scene.ndc) nearDistance -= this.moveToBox(cameraPosition, raySpaceFromCamera);
