@@ -19,7 +19,7 @@ from snerg.core.geometry.box import Box
 from snerg.core.io.images import read_image
 from snerg.snerg_addon import capture
 from snerg.snerg_addon.bridge import camera_from_blender
-from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names, unfinished, views_there
+from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names, unfinished, views_rendered
 
 
 def every_setting(thing, path="", depth=0):
@@ -179,11 +179,11 @@ def test_stopping_leaves_the_scene_as_it_was_and_keeps_the_views(scene, odd, tmp
         render_dataset(scene, shots, tmp_path / "set", CaptureSettings(test_every=2), progress=stop_after(3))
     assert state(scene) == before
     assert [path.name for path in tmp_path.iterdir() if path.name != "whole"] == ["set.unfinished"]
-    assert views_there(tmp_path / "set") == (3, 4)
+    assert views_rendered(tmp_path / "set") == (3, 4)
     assert len(read_dataset(unfinished(tmp_path / "set"), "train").views) == 2
     assert len(read_dataset(unfinished(tmp_path / "set"), "test").views) == 1
     result = render_dataset(scene, shots, tmp_path / "set", CaptureSettings(test_every=2))
-    assert result["kept"] == 3 and views_there(tmp_path / "set") == (0, 0)
+    assert result["kept"] == 3 and views_rendered(tmp_path / "set") == (0, 0)
     assert contents(tmp_path / "set") == contents(tmp_path / "whole")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["set", "whole"]
 
@@ -192,9 +192,9 @@ def test_a_rendering_that_is_not_the_same_or_not_wanted_begins_anew(scene, tmp_p
     add_plane()
     shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(3)]
     folder = tmp_path / "set"
-    for change in ("resolution", "pose", "frame", "samples", "goes_on"):
+    for change in ("resolution", "pose", "frame", "samples", "resume"):
         with pytest.raises(Cancelled):
-            render_dataset(scene, shots, folder, goes_on=False, progress=stop_after(2))
+            render_dataset(scene, shots, folder, resume=False, progress=stop_after(2))
         if change == "resolution":
             scene.render.resolution_x += 2
         elif change == "pose":
@@ -204,7 +204,7 @@ def test_a_rendering_that_is_not_the_same_or_not_wanted_begins_anew(scene, tmp_p
             scene.frame_set(7)
         elif change == "samples":
             scene.cycles.samples = 2
-        assert "kept" not in render_dataset(scene, shots, folder, goes_on=change != "goes_on"), change
+        assert "kept" not in render_dataset(scene, shots, folder, resume=change != "resume"), change
     scene.frame_set(1)
 
 

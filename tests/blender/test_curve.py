@@ -8,7 +8,7 @@ import pytest
 
 from snerg.operators.train import training_arguments
 from snerg.snerg_addon.curve import Curve, curve_of, read_curve, sparkline
-from snerg.snerg_addon.panels import curve_texts, goes_on
+from snerg.snerg_addon.panels.field import can_continue, curve_texts
 from snerg.snerg_addon.project import project_of
 
 LINES = [
@@ -34,6 +34,7 @@ def test_the_curve_is_that_of_the_log(tmp_path):
     assert curve_of(tmp_path) is curve_of(tmp_path)  # read once
     assert curve_texts(read_curve(LINES[:1]))[0] == "20.0 dB on training rays"
     assert read_curve([]) == Curve()
+    assert curve_texts(Curve()) == ("", "")  # not '0 steps, 0:00 min'
 
 
 @pytest.mark.parametrize(("values", "bars"), [([], ""), ([1.0], ""), ([5.0, 5.0], "▁▁"), (list(range(8)), "▁▂▃▄▅▆▇█")])
@@ -46,7 +47,7 @@ def test_only_a_training_that_was_stopped_goes_on(scene):
     project = project_of(scene)
 
     def can():
-        return goes_on(scene)
+        return can_continue(scene)
 
     assert not can()
     write_log(project.field, LINES)

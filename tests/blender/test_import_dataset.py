@@ -17,8 +17,8 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.io.images import read_image, write_png
+from snerg.core.jobs.task import ThreadTask
 from snerg.snerg_addon import bridge
-from snerg.snerg_addon.activity import Thought
 from snerg.snerg_addon.capture import evaluated
 from snerg.snerg_addon.project import project_of
 
@@ -180,14 +180,14 @@ def test_reading_beside_blender_tells_stops_and_fails_in_one_sentence():
     def breaks(progress):
         raise ValueError("a bug")
 
-    assert Thought(lambda progress: {"a": 1}).wait() == {"a": 1}
+    assert ThreadTask(lambda progress: {"a": 1}).wait() == {"a": 1}
     with pytest.raises(SnergError, match="nothing to read"):
-        Thought(fails).wait()
+        ThreadTask(fails).wait()
     with pytest.raises(SnergError, match="ValueError: a bug"):
-        Thought(breaks).wait()
-    work = Thought(asks)
+        ThreadTask(breaks).wait()
+    work = ThreadTask(asks)
     work.cancel()
-    with pytest.raises(Cancelled, match="nothing was changed"):
+    with pytest.raises(Cancelled, match="Stopped as you asked"):
         work.wait()
 
 

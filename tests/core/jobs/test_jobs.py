@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ import pytest
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.jobs import folder as folders
 from snerg.core.jobs import runner
-from snerg.core.jobs.runner import Job, start_verb
+from snerg.core.jobs.runner import Job, start_command
 
 ROOT = Path(runner.__file__).resolve().parents[2]
 PATIENCE = 30.0  # seconds for what takes a fraction of one
@@ -67,7 +68,7 @@ def until(true: Callable[[], bool]) -> float:
 
 
 def works(child: Job) -> bool:
-    return not child.poll() or child.message == "working"
+    return not child.poll() or child.text == "working"
 
 
 def test_result_and_progress_arrive():
@@ -75,6 +76,16 @@ def test_result_and_progress_arrive():
     child = job("for k in range(5): progress(k / 5, f'step {k} \\u00e9'); time.sleep(0.05)\nreturn {'psnr': 31.5}")
     assert child.wait(lambda fraction, message: said.append((fraction, message)), interval=0.01) == {"psnr": 31.5}
     assert any(message.endswith("\u00e9") for _, message in said)
+
+
+def test_a_note_does_not_hide_what_goes_on():
+    said: list[str] = []
+    child = job(
+        "from snerg.core.progress import Note\nprogress(0.0, 'Compiling')\nprogress(0.0, Note('NDC: no.'))\ntime.sleep(1)\nreturn {}"
+    )
+    child.wait(lambda fraction, message: said.append(message))
+    assert child.text == "Compiling" and child.notes == ["NDC: no."]
+    assert said.count("NDC: no.") == 1 and said[-1] == "Compiling"
 
 
 def test_stray_prints_do_not_break_the_protocol(tmp_path):
@@ -149,7 +160,7 @@ def test_progress_that_raises_stops_the_job(tmp_path):
 
 def test_a_python_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(SnergError, match="was not found"):
-        start_verb(["info", "."], python="/nowhere/python3")
+        start_command(["info", "."], python="/nowhere/python3")
     with pytest.raises(SnergError, match="Cannot start"):
         Job([os.path.join(os.sep, "nowhere", "python3")]).begin(tmp_path, {})
     assert folders.job_folders(tmp_path) == []
@@ -161,8 +172,8 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
         job("return {}").begin(tmp_path / "file", {})
 
 
-def test_the_launcher_runs_a_verb(tmp_path):
-    child = start_verb(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
+def test_the_launcher_runs_a_command(tmp_path):
+    child = start_command(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
     with pytest.raises(SnergError, match="missing"):
         child.wait()
     assert child.state == "failed", json.dumps(child.log)
@@ -238,8 +249,8 @@ def test_jobs_of_a_project_run_one_after_another(tmp_path):
     log = tmp_path / "order"
     work = "with open({log!r}, 'a') as file: file.write('+{k} '); file.flush(); time.sleep(0.3); file.write('-{k} ')\nreturn {{}}"
     children = [job(work.format(log=str(log), k=k)).begin(tmp_path, {"label": f"Step {k}"}) for k in range(3)]
-    until(lambda: not children[2].poll() or children[2].message.startswith("Waits"))
-    assert children[2].message in ("Waits for Step 0", "Waits for Step 1")
+    until(lambda: not children[2].poll() or children[2].text.startswith("Waits"))
+    assert children[2].text in ("Waits for Step 0", "Waits for Step 1")
     for child in children:
         child.wait()
     assert log.read_text().split() == ["+0", "-0", "+1", "-1", "+2", "-2"]
@@ -249,7 +260,7 @@ def test_who_waits_can_be_cancelled_and_who_fails_lets_the_next_go_on(tmp_path):
     go = tmp_path / "go"
     first = job(f"while not Path({str(go)!r}).exists(): time.sleep(0.01)\nraise SnergError('No luck.')").begin(tmp_path, {"label": "First"})
     second, third = (job("return {}").begin(tmp_path, {"label": name}) for name in ("Second", "Third"))
-    until(lambda: not second.poll() or second.message == "Waits for First")
+    until(lambda: not second.poll() or second.text == "Waits for First")
     second.cancel()
     assert until(lambda: not second.poll()) < HEARD
     assert second.state == "cancelled" and "before it began" in second.error
@@ -270,8 +281,8 @@ def test_projects_do_not_wait_for_each_other(tmp_path):
 
 def test_a_waiting_job_has_imported_nothing_heavy(tmp_path):
     first = job(WORKS_ON).begin(tmp_path, {"label": "First"})
-    second = start_verb(["info", str(tmp_path)]).begin(tmp_path, {})
-    until(lambda: not second.poll() or second.message == "Waits for First")
+    second = start_command(["info", str(tmp_path)]).begin(tmp_path, {})
+    until(lambda: not second.poll() or second.text == "Waits for First")
     if Path("/proc/self/maps").exists():
         pid = (second.folder / folders.LOCK).read_text().strip()
         assert "PIL" not in Path(f"/proc/{pid}/maps").read_text()
@@ -297,3 +308,11 @@ def test_damaged_folders_are_no_reason_to_fail(tmp_path):
     assert folders.label_of(folder) == "another job" and not folders.is_alive(folder)
     child = Job.found(folder)
     assert not child.poll() and child.state == "failed"
+
+
+def test_the_launcher_and_the_jobs_agree_on_their_variables():
+    """The launcher cannot import core before it has made it importable, and has the names twice."""
+    spec = importlib.util.spec_from_file_location("launcher", ROOT / "launcher.py")
+    launcher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launcher)
+    assert (launcher.IMPORT_PATH, launcher.JOB) == (runner.IMPORT_PATH, folders.VARIABLE)
