@@ -25,7 +25,7 @@ NEEDED = (
     "LICENSE",
     "core/cli.py",
     "operators/train.py",
-    "snerg_addon/panels.py",
+    "snerg_addon/bridge.py",
     "viewer/dist/viewer.js",
 )
 MOST_MEGABYTES = 300  # of one zip; JAX and SciPy make up two thirds of the largest, Linux's
