@@ -74,3 +74,10 @@ def test_every_command_and_option_that_is_named_exists(page):
 def test_pictures_are_small():
     pictures = list((ROOT / "docs" / "pictures").iterdir())
     assert pictures and all(path.stat().st_size <= MOST_BYTES for path in pictures)
+
+
+def test_every_hard_case_that_a_test_names_has_its_reason():
+    rows = [int(number) for number in re.findall(r"^\| (\d+) \|", (ROOT / "docs" / "hard-cases.md").read_text(), re.MULTILINE)]
+    assert rows == list(range(1, len(rows) + 1))
+    marks = (numbers for path in (ROOT / "tests").rglob("test_*.py") for numbers in re.findall(r"hard_case\(([\d, ]+)\)", path.read_text()))
+    assert {int(number) for numbers in marks for number in numbers.split(",") if number.strip()} <= set(rows)
