@@ -1,6 +1,7 @@
 """Draw the pictures of the documentation anew: the panels in a full Blender, the web page in a browser, and the demo's contact sheet.
 
-`make pictures BLENDER=/path/to/blender`, after `make demo`, whose dataset is trained on for a few minutes. Writes docs/pictures.
+`make pictures BLENDER=/path/to/blender`, after `make demo`, whose dataset is trained on for a few minutes. Writes docs/pictures,
+and the demo's figures into the README.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ PANELS = ("dataset", "field", "bake", "preview", "export")
 MOST_BYTES = 150_000  # of a picture, so that the README opens quickly
 PAGE_SIZE = (800, 900)  # pixels of the browser's window: as high as Blender's
 PAGE_SECONDS = 40  # until a software renderer has drawn the first frame
+TEST_VIEWS = 8  # of the demo
 CAMERA = "Camera 42"  # which is the still life's active one
 BESIDE_WIDTH = 1400  # pixels of Blender and the page together
 SHEET_ROWS = (3, 8)  # of the contact sheet: how many are shown, and how many it has
@@ -60,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     web = next(WORK.glob("*.snerg/*/web"))
     write(beside(Image.open(WORK / "panels" / "blender.png"), page(web)), OUT / "blender-and-web.webp")
     write(contact_sheet(), OUT / "contact.webp")
+    readme = ROOT / "README.md"
+    readme.write_text(with_results(readme.read_text(), json.loads((DEMO / "report.json").read_text())))
 
 
 def make_project(blender: Blender, file: Path, minutes: float) -> None:
@@ -145,6 +149,26 @@ def contact_sheet() -> Image.Image:
     """The first rows of the demo's contact sheet."""
     sheet = Image.open(DEMO / "contact.png").convert("RGB")
     return sheet.crop((0, 0, sheet.width, sheet.height * SHEET_ROWS[0] // SHEET_ROWS[1]))
+
+
+def with_results(page: str, report: dict[str, dict[str, float]]) -> str:
+    """A page whose table between the marks `<!-- demo -->` has the figures of the demo's report. Raises ValueError without the marks."""
+    head, _, rest = page.partition("<!-- demo -->\n")
+    _, mark, tail = rest.partition("<!-- /demo -->")
+    if not mark:
+        raise ValueError("The page has no place for the demo's results.")
+    seconds, size = report["seconds"], report["bytes"]
+    quality = {name: f"{report['psnr'][name]:.1f} dB | {report['ssim'][name]:.3f}" for name in report["psnr"]}
+    rows = (
+        ("render the dataset with Cycles", f"{seconds['render']:.0f}", " | ", ""),
+        ("train", f"{seconds['train']:.0f}", quality["field"], ""),
+        ("bake", f"{seconds['bake']:.0f}", quality["bake"], ""),
+        ("fine-tune the highlights", f"{seconds['refine']:.0f}", quality["refined"], f"{size['scene'] / 1e6:.1f}"),
+        (f"preview, {TEST_VIEWS} views", f"{seconds['preview']:.1f}", " | ", ""),
+        ("export the web page", f"{seconds['export']:.0f}", " | ", f"{size['web'] / 1e6:.1f}"),
+    )
+    lines = ["| stage | seconds | PSNR | SSIM | megabytes |", "|---|---|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+    return f"{head}<!-- demo -->\n" + "\n".join(lines) + f"\n{mark}{tail}"
 
 
 def write(picture: Image.Image, path: Path) -> None:
