@@ -36,7 +36,7 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
         entry = loaded(source_of(thing))
         if problem := problem_of(thing) or entry.problem:
-            draw_sentence(layout, problem, "ERROR", 56)
+            draw_sentence(layout, problem, "ERROR")
         elif entry.scene is None:
             layout.label(text="Reading the scene", icon="TIME")
         else:
