@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
-from .baking.bake import AUTO, BakeSettings
+from .baking.bake import AUTO_SUPERSAMPLING, BakeSettings
 from .commands.bake import bake_scene
 from .commands.bundle import bundle_scene
 from .commands.effects import effects, effects_text
@@ -391,7 +391,7 @@ def portion(text: str) -> float:
 
 def samples(text: str) -> int:
     """A whole number of samples a voxel, or 'auto'."""
-    return AUTO if text == "auto" else natural(text)
+    return AUTO_SUPERSAMPLING if text == "auto" else natural(text)
 
 
 def background(text: str) -> str:

@@ -16,7 +16,7 @@ from ..core.export.scene_files import read_scene
 from ..core.geometry.camera import Camera
 from ..core.jobs.runner import State, outcome
 from ..core.nerf.frame import Frame
-from ..core.rendering.render import INVISIBLE, MarchSettings, progressive
+from ..core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, render_progressively
 from ..core.scene.scene import Scene
 from ..snerg_addon.activity import Work
 from ..snerg_addon.bridge import camera_from_blender, write_image
@@ -117,7 +117,7 @@ class Marching:
 
     def _march(self) -> None:
         try:
-            for frame in progressive(loaded(self._project), self._camera, MarchSettings(INVISIBLE), self._tell):
+            for frame in render_progressively(loaded(self._project), self._camera, MarchSettings(PREVIEW_TOLERANCE), self._tell):
                 self._frame = frame
                 self._changed.set()
         except Exception as error:  # handed to the thread that polls

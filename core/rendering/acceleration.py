@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.scene import Scene
 
-BRICK = 6  # voxels along a brick, by which the way through empty space is measured; five of them make a block's own 30
-BRICKS = DATA_VOXELS // BRICK
-MAX_SKIP = 6  # voxels that one jump inside a brick can pass
+BRICK_VOXELS = 6  # voxels along a brick, by which the way through empty space is measured; five of them make a block's own 30
+BRICKS_PER_BLOCK = DATA_VOXELS // BRICK_VOXELS
+MAX_VOXEL_SKIP = 6  # voxels that one jump inside a brick can pass
 STRIDES = (CELL_VOXELS**2, CELL_VOXELS, 1)  # words from a voxel to its neighbours along x, y, z
 
 
@@ -41,37 +41,39 @@ class Acceleration:
     voxel_skip: NDArray[Any]
 
 
-_tables: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
+_cache: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
 
 
-def acceleration_of(snerg: Scene) -> Acceleration:
+def acceleration_of(scene: Scene) -> Acceleration:
     """The look-up tables of a scene, made once."""
-    tables = _tables.get(snerg)
+    tables = _cache.get(scene)
     if tables is None:
-        tables = _tables[snerg] = build_acceleration(snerg)
+        tables = _cache[scene] = build_acceleration(scene)
     return tables
 
 
-def build_acceleration(snerg: Scene) -> Acceleration:
+def build_acceleration(scene: Scene) -> Acceleration:
     """See `Acceleration`."""
-    cells = snerg.cells if len(snerg.cells) else np.zeros((1, *snerg.cells.shape[1:]), snerg.cells.dtype)
+    cells = scene.cells if len(scene.cells) else np.zeros((1, *scene.cells.shape[1:]), scene.cells.dtype)
     channels, flat = cells.shape[-1], np.ascontiguousarray(cells).reshape(-1, cells.shape[-1])
-    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if snerg.quantised else flat
-    tents = tent_bits((voxels != 0 if snerg.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
-    occupied, base = _bricks(snerg.indirection, tents)
+    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if scene.quantised else flat
+    tents = occupied_stencils(
+        (voxels != 0 if scene.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS)
+    )
+    occupied, base = _bricks(scene.indirection, tents)
     x, y, z = occupied.shape
     return Acceleration(
         voxels=voxels,
         channels=channels,
-        unit=snerg.unit,
+        unit=scene.unit,
         brick_base=base.reshape(-1),
-        brick_distance=chebyshev(occupied, 255).reshape(-1),
+        brick_distance=chebyshev_distance(occupied, 255).reshape(-1),
         bricks=(x, y, z),
         voxel_skip=_voxel_skip(tents),
     )
 
 
-def tent_bits(full: NDArray[Any]) -> NDArray[Any]:
+def occupied_stencils(full: NDArray[Any]) -> NDArray[Any]:
     """bool voxels [M, 32, 32, 32] to tents that hold something, uint32 [M, 32, 32] with z in the bits (z = 0 the lowest).
 
     Tents past the cell's last voxel (index 31) are only as full as what of them is in the cell; no sample reaches them.
@@ -85,20 +87,20 @@ def tent_bits(full: NDArray[Any]) -> NDArray[Any]:
 
 def _bricks(indirection: NDArray[Any], tents: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Acceleration`)."""
-    masks = np.array([((1 << (BRICK + 1)) - 1) << (BRICK * i) for i in range(BRICKS)], np.uint32)
+    masks = np.array([((1 << (BRICK_VOXELS + 1)) - 1) << (BRICK_VOXELS * i) for i in range(BRICKS_PER_BLOCK)], np.uint32)
     found = (tents[..., None] & masks) != 0  # along z already by bricks: samples of brick i touch tents 6 i to 6 i + 6
     for axis in (1, 2):
-        parts = [slice(BRICK * i, BRICK * i + BRICK + 1) for i in range(BRICKS)]
+        parts = [slice(BRICK_VOXELS * i, BRICK_VOXELS * i + BRICK_VOXELS + 1) for i in range(BRICKS_PER_BLOCK)]
         found = np.stack([found[(slice(None),) * axis + (part,)].any(axis=axis) for part in parts], axis=axis)
     shape = indirection.shape
-    occupied = np.zeros((*shape, BRICKS, BRICKS, BRICKS), bool)
+    occupied = np.zeros((*shape, BRICKS_PER_BLOCK, BRICKS_PER_BLOCK, BRICKS_PER_BLOCK), bool)
     full = indirection >= 0
     occupied[full] = found[indirection[full]]
-    occupied = occupied.transpose(0, 3, 1, 4, 2, 5).reshape(*(n * BRICKS for n in shape))
+    occupied = occupied.transpose(0, 3, 1, 4, 2, 5).reshape(*(n * BRICKS_PER_BLOCK for n in shape))
     corner = np.tensordot(np.indices(shape), np.array(STRIDES) * DATA_VOXELS, axes=(0, 0))
     base = np.maximum(indirection, 0).astype(np.int64) * CELL_VOXELS**3 - corner
     for axis in range(3):
-        base = base.repeat(BRICKS, axis=axis)
+        base = base.repeat(BRICKS_PER_BLOCK, axis=axis)
     return np.pad(occupied, (0, 1), mode="edge"), np.pad(base, (0, 1), mode="edge")
 
 
@@ -106,15 +108,15 @@ def _voxel_skip(tents: NDArray[Any]) -> NDArray[Any]:
     """See `Acceleration`; at least 1 where nothing is, at most MAX_SKIP."""
     skip = np.zeros((len(tents), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
     reached = tents.copy()
-    for distance in range(MAX_SKIP):
+    for distance in range(MAX_VOXEL_SKIP):
         if distance:
-            reached = _spread(reached, distance)
+            reached = _dilate_stencils(reached, distance)
         empty = np.unpackbits((~reached).astype("<u4").view(np.uint8).reshape(len(tents), CELL_VOXELS, -1), axis=-1, bitorder="little")
         skip += empty.reshape(skip.shape)
     return skip.reshape(-1)
 
 
-def _spread(bits: NDArray[Any], distance: int) -> NDArray[Any]:
+def _dilate_stencils(bits: NDArray[Any], distance: int) -> NDArray[Any]:
     """Tents [M, 32, 32] grown by one on each side, z in the bits. The block's neighbours may hold anything, and share its tents 0 and
     30, so that those count as reached, and all that are `distance` away from them."""
     bits = bits | (bits << np.uint32(1)) | (bits >> np.uint32(1))
@@ -131,7 +133,7 @@ def _spread(bits: NDArray[Any], distance: int) -> NDArray[Any]:
     return bits
 
 
-def chebyshev(occupied: NDArray[Any], most: int) -> NDArray[Any]:
+def chebyshev_distance(occupied: NDArray[Any], most: int) -> NDArray[Any]:
     """Distance to the nearest True in the maximum norm, uint8, at most `most`."""
     if not occupied.any():
         return np.full(occupied.shape, min(most, 255), np.uint8)
@@ -141,12 +143,12 @@ def chebyshev(occupied: NDArray[Any], most: int) -> NDArray[Any]:
         if reached.all():
             break
         for axis in range(reached.ndim):
-            reached = _wider(reached, axis)
+            reached = _dilate_axis(reached, axis)
         distance += ~reached
     return distance
 
 
-def _wider(mask: NDArray[Any], axis: int) -> NDArray[Any]:
+def _dilate_axis(mask: NDArray[Any], axis: int) -> NDArray[Any]:
     """True also where a neighbour along the axis is."""
     wide = mask.copy()
     ahead, back = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from ..nerf.model import ViewNetwork
 from ..scene.scene import Scene
 
-FILLED = 1.5  # how much steeper equation 9 makes what depends on alpha
-SCAN = 2**20  # voxels looked at together
+CORRECTION_SLOPE = 1.5  # how much steeper equation 9 makes what depends on alpha
+VOXELS_PER_CHUNK = 2**20  # voxels looked at together
 
 
-def stop_for(tolerance: float, snerg: Scene, per_sample_network: bool) -> float:
+def stop_transmittance_for(tolerance: float, scene: Scene, per_sample_network: bool) -> float:
     """The transmittance below which a ray may stop, so that no displayed value is further than `tolerance` from the endless march's.
 
     A ray that stops with light tau left has yet to gather opacity dA <= tau, and colour and features dC <= g tau, g being what
@@ -28,21 +28,21 @@ def stop_for(tolerance: float, snerg: Scene, per_sample_network: bool) -> float:
     Equation 9 multiplies by f = min(1, 1.5 A) / A: its slope is 1.5 or 1 / A <= 1.5, so that A moves by at most 1.5 tau, and a value C
     by f dC - C dA / A^2, between -1.5 g tau and 1.5 g tau.
     """
-    grows = excess(snerg)
-    if snerg.network is not None and per_sample_network:
+    grows = premultiplied_excess(scene)
+    if scene.network is not None and per_sample_network:
         grows += 1
     low, high = np.array([-1.0] * 3 + [0.0] * 4), np.array([grows - 1] * 3 + [grows] * 4)
     slope = grows
-    if snerg.opacity_correction:
-        high = np.full(7, FILLED * grows)
-        low = -high - np.array([FILLED] * 3 + [0.0] * 4)
-        slope = FILLED * (grows + 1)
-    if snerg.network is not None and not per_sample_network:
-        slope += steepness(snerg.network, low, high)
+    if scene.opacity_correction:
+        high = np.full(7, CORRECTION_SLOPE * grows)
+        low = -high - np.array([CORRECTION_SLOPE] * 3 + [0.0] * 4)
+        slope = CORRECTION_SLOPE * (grows + 1)
+    if scene.network is not None and not per_sample_network:
+        slope += residual_bound(scene.network, low, high)
     return min(tolerance / slope, 0.5)
 
 
-def steepness(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
+def residual_bound(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
     """At most how far the residual moves when what the network sees of the ray [7] (colour over white, features) moves by something
     between `low` and `high`, whatever it sees: interval arithmetic on the difference. A ReLU moves by something between 0 and what
     its input moves by, the sigmoid by at most a quarter of that."""
@@ -58,24 +58,24 @@ def steepness(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> fl
 _excess: WeakKeyDictionary[Scene, float] = WeakKeyDictionary()
 
 
-def excess(snerg: Scene) -> float:
+def premultiplied_excess(scene: Scene) -> float:
     """g >= 1, so that colours and features that a ray gathers past some point are together at most g times the light there was.
 
     In a voxel a value c may be above opacity a (rounded one by one, or not baked by us). c <= r a everywhere, or c <= a + e,
     holds for what is interpolated as well, and summed over a ray of n samples gives g = r, or g = 1 + e n; the smaller one counts.
     Both leave the sum of c - a at most (g - 1) times the light.
     """
-    found = _excess.get(snerg)
+    found = _excess.get(scene)
     if found is None:
-        flat = snerg.cells.reshape(-1, snerg.cells.shape[-1])
+        flat = scene.cells.reshape(-1, scene.cells.shape[-1])
         ratio, above = 1.0, 0.0
-        for start in range(0, len(flat), SCAN):
-            part = flat[start : start + SCAN]
+        for start in range(0, len(flat), VOXELS_PER_CHUNK):
+            part = flat[start : start + VOXELS_PER_CHUNK]
             part = part[(part[:, :-1] > part[:, -1:]).any(axis=-1)].astype(np.float64)
             if len(part):
                 most, alpha = part[:, :-1].max(axis=-1), part[:, -1]
                 above = max(above, float((most - alpha).max()))
                 ratio = max(ratio, float(np.max(most / alpha)) if alpha.all() else np.inf)
-        samples = float(np.linalg.norm(snerg.shape)) + 1
-        found = _excess[snerg] = min(ratio, 1 + above / snerg.unit * samples)
+        samples = float(np.linalg.norm(scene.shape)) + 1
+        found = _excess[scene] = min(ratio, 1 + above / scene.unit * samples)
     return found

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from ..geometry.ndc import space_rays
 from ..scene.scene import Scene
-from .acceleration import BRICK, Acceleration
-from .ray_marcher import HAIR
-from .ray_queue import Rays
+from .acceleration import BRICK_VOXELS, Acceleration
+from .ray_marcher import STEP_EPSILON
+from .ray_queue import RayBatch
 
-BUNDLE = 64  # neighbouring rays that go through empty space together
+PACKET_RAYS = 64  # neighbouring rays that go through empty space together
 
 
-def enter(
-    snerg: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
+def intersect_grid(
+    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Rays of the world in voxel coordinates, re-based to where they enter the grid.
 
@@ -26,14 +26,14 @@ def enter(
     float64, so a scene far from the origin is as steady as one at it (hard case 6); a direction of 0 along an axis is a miss or all
     of it (31, 32).
     """
-    rotation = snerg.grid_to_world[:3, :3]
-    origins, directions, begins, _ = space_rays(snerg.ndc, origins, directions, near)
-    local = rotation.T @ (origins - snerg.grid_to_world[:3, 3]).T
-    local /= snerg.voxel_size
+    rotation = scene.grid_to_world[:3, :3]
+    origins, directions, begins, _ = space_rays(scene.ndc, origins, directions, near)
+    local = rotation.T @ (origins - scene.grid_to_world[:3, 3]).T
+    local /= scene.voxel_size
     towards = rotation.T @ directions.T
-    start, stop = begins / snerg.voxel_size, np.full(len(origins), np.inf)
+    start, stop = begins / scene.voxel_size, np.full(len(origins), np.inf)
     first = np.full(len(origins), -np.inf)
-    for place, along, size in zip(local, towards, snerg.shape, strict=True):
+    for place, along, size in zip(local, towards, scene.shape, strict=True):
         flat = np.abs(along) < 1e-12
         inverse = 1 / np.where(flat, 1, along)
         low, high = -place * inverse, (size - place) * inverse
@@ -47,23 +47,23 @@ def enter(
     return local.astype(np.float32), towards.astype(np.float32), start, np.where(met, stop, -1)
 
 
-def approach(
+def start_batch(
     tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], stop: NDArray[Any], skip: bool, first: int = 0
-) -> Rays:
+) -> RayBatch:
     """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter. first: the number
     of the first of them."""
     ends = np.ceil(stop - start - 0.5).astype(np.float32)
     ready = ends > 0
     t = np.full(len(ends), np.float32(0.5))
     if skip and ready.any():
-        t += bundled(tables, entry, direction, start, ends, ready)
+        t += skip_by_packets(tables, entry, direction, start, ends, ready)
         ready &= t < ends
     index = np.flatnonzero(ready)
     moving = np.concatenate([entry[:, index], direction[:, index], t[None, index], ends[None, index]])
-    return Rays.new(index + first, moving, tables.channels)
+    return RayBatch.new(index + first, moving, tables.channels)
 
 
-def bundled(
+def skip_by_packets(
     tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], ends: NDArray[Any], ready: NDArray[Any]
 ) -> NDArray[Any]:
     """How many samples of each ray [N] come before anything that its bundle could meet: float32, whole numbers.
@@ -72,29 +72,29 @@ def bundled(
     cube is among empty bricks. s is counted for all from the place of the first of its rays to enter the grid.
     """
     count = len(ends)
-    groups = -(-count // BUNDLE)
+    groups = -(-count // PACKET_RAYS)
 
     def grouped(values: NDArray[Any]) -> NDArray[Any]:
-        missing = groups * BUNDLE - count
+        missing = groups * PACKET_RAYS - count
         padded = np.concatenate([values, values[..., -1:].repeat(missing, axis=-1)], axis=-1) if missing else values
-        return padded.reshape(*values.shape[:-1], groups, BUNDLE)
+        return padded.reshape(*values.shape[:-1], groups, PACKET_RAYS)
 
     there = grouped(ready)
     some = there.any(axis=-1)
     begins = np.where(there, grouped(start), np.inf).min(axis=-1)
     begins = np.where(some, begins, 0)
-    lag = np.where(ready, start - begins.repeat(BUNDLE)[:count], 0).astype(np.float32)
+    lag = np.where(ready, start - begins.repeat(PACKET_RAYS)[:count], 0).astype(np.float32)
     place = grouped(entry - direction * lag)
     low, high = np.where(there, place, np.inf).min(axis=-1), np.where(there, place, -np.inf).max(axis=-1)
     low, high = np.where(some, low, 0), np.where(some, high, 0)
     toward = grouped(direction)
     slow, fast = toward.min(axis=-1), toward.max(axis=-1)
     last = np.where(there, grouped(ends + lag), -np.inf).max(axis=-1)
-    reached = advance(tables, (low + high) / 2, (slow + fast) / 2, (high - low) / 2, (fast - slow) / 2, last)
-    return np.maximum(np.ceil(reached.repeat(BUNDLE)[:count] - lag - (HAIR + np.float32(0.5))), 0)
+    reached = empty_distance(tables, (low + high) / 2, (slow + fast) / 2, (high - low) / 2, (fast - slow) / 2, last)
+    return np.maximum(np.ceil(reached.repeat(PACKET_RAYS)[:count] - lag - (STEP_EPSILON + np.float32(0.5))), 0)
 
 
-def advance(
+def empty_distance(
     tables: Acceleration, centre: NDArray[Any], along: NDArray[Any], radius: NDArray[Any], growth: NDArray[Any], last: NDArray[Any]
 ) -> NDArray[Any]:
     """Distance [G] up to which a cube around centre + s * along, of half a side radius + s * growth (all [3, G]), meets nothing
@@ -106,11 +106,11 @@ def advance(
     while len(rows):
         s = reached[rows]
         point = centre[:, rows] + along[:, rows] * s
-        brick = np.clip((point * np.float32(1 / BRICK)).astype(np.int64), 0, bricks - 1)
+        brick = np.clip((point * np.float32(1 / BRICK_VOXELS)).astype(np.int64), 0, bricks - 1)
         empty = tables.brick_distance.take(strides @ brick).astype(np.int64)
         # The cube of empty bricks; past the grid's own faces there is nothing.
-        lowest = np.where(brick - empty < 0, -np.inf, BRICK * (brick - empty + 1))
-        highest = np.where(brick + empty >= bricks, np.inf, BRICK * (brick + empty))
+        lowest = np.where(brick - empty < 0, -np.inf, BRICK_VOXELS * (brick - empty + 1))
+        highest = np.where(brick + empty >= bricks, np.inf, BRICK_VOXELS * (brick + empty))
         half = radius[:, rows] + growth[:, rows] * s
         behind, ahead = point - half - lowest, highest - point - half
         steps = np.minimum(ahead / np.maximum(along[:, rows] + growth[:, rows], 1e-9), 1e9)

@@ -14,25 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .acceleration import BRICK, STRIDES, Acceleration
-from .ray_queue import FEW, RayQueue, Rays
+from .acceleration import BRICK_VOXELS, STRIDES, Acceleration
+from .ray_queue import DONATE_BELOW, RayBatch, RayQueue
 
-CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-AHEAD = 4  # samples of a ray that are taken together
-SLICE = 32768  # samples interpolated together, so many that threads rarely wait for Python
-HAIR = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
-STILL = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
+CORNER_OFFSETS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+SAMPLES_PER_PASS = 4  # samples of a ray that are taken together
+MAX_INTERPOLATED = 32768  # samples interpolated together, so many that threads rarely wait for Python
+STEP_EPSILON = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
+PARALLEL_EPSILON = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class MarchOutput:
     """Of all rays, written as they end: values [N, C] and transmittance [N], float32 (see `Rays`)."""
 
     values: NDArray[Any]
     through: NDArray[Any]
 
 
-Residual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
+ViewResidual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
 """(colour [n, 3] over white, features [n, 4], number of the ray [n]) to what view dependence adds to the colour [n, 3]."""
 
 
@@ -48,22 +48,22 @@ class RayMarcher:
         self,
         tables: Acceleration,
         supply: RayQueue,
-        into: Gathered,
+        into: MarchOutput,
         batch: int,
         stop: float,
         skip: bool = True,
         visited: NDArray[Any] | None = None,
-        residual: Residual | None = None,
+        residual: ViewResidual | None = None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
         self.tables, self.supply, self.into, self.batch = tables, supply, into, batch
         self.stop, self.skip, self.visited, self.residual, self.cancelled = np.float32(stop), skip, visited, residual, cancelled
-        self.interpolate = Interpolate(tables)
+        self.interpolate = Interpolator(tables)
         self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
         self.samples = 0
-        self.hold(Rays.new(np.zeros(0, np.int64), np.zeros((8, 0), np.float32), tables.channels))
+        self.hold(RayBatch.new(np.zeros(0, np.int64), np.zeros((8, 0), np.float32), tables.channels))
 
-    def hold(self, rays: Rays) -> None:
+    def hold(self, rays: RayBatch) -> None:
         """Make these the batch."""
         self.index, self.moving, self.light, self.values = rays.index, rays.moving, rays.light, rays.values
         self.alive = np.ones(len(self.index), bool)
@@ -85,16 +85,16 @@ class RayMarcher:
         self.into.through[self.index[ended]] = self.light[ended]
         self.supply.count(len(ended), self.samples)
         self.samples = 0
-        rays = Rays(self.index, self.moving, self.light, self.values).only(np.flatnonzero(self.alive))
-        rays = Rays.joined([rays, *self.begin(self.batch - len(rays.index), not len(rays.index))])
-        if 0 < len(rays.index) <= FEW and self.supply.hand(rays):
+        rays = RayBatch(self.index, self.moving, self.light, self.values).only(np.flatnonzero(self.alive))
+        rays = RayBatch.joined([rays, *self.begin(self.batch - len(rays.index), not len(rays.index))])
+        if 0 < len(rays.index) <= DONATE_BELOW and self.supply.hand(rays):
             rays = rays.some(slice(0))
         self.hold(rays)
         self.prepare()
 
-    def begin(self, room: int, idle: bool) -> list[Rays]:
+    def begin(self, room: int, idle: bool) -> list[RayBatch]:
         """Up to `room` more rays. idle: there are none at present."""
-        new: list[Rays] = []
+        new: list[RayBatch] = []
         while room > 0 and not self.cancelled() and (more := self.supply.take(room, idle)) is not None:
             new.append(more)
             room -= len(more.index)
@@ -104,8 +104,8 @@ class RayMarcher:
     def prepare(self) -> None:
         """What follows from the directions, and room for what `advance` computes."""
         direction, count = self.moving[3:6], len(self.index)
-        inverse = 1 / np.where(np.abs(direction) < STILL, STILL, direction)
-        self.turns = np.float32(BRICK) * inverse  # t to cross a brick
+        inverse = 1 / np.where(np.abs(direction) < PARALLEL_EPSILON, PARALLEL_EPSILON, direction)
+        self.turns = np.float32(BRICK_VOXELS) * inverse  # t to cross a brick
         self.span = np.abs(inverse)
         self.pace = np.minimum(np.minimum(self.span[0], self.span[1]), self.span[2])  # t to move a voxel along the fastest axis
         self.point, self.brick, self.within, self.exit = (np.empty((3, count), np.float32) for _ in range(4))
@@ -129,7 +129,7 @@ class RayMarcher:
 
     def locate(self) -> None:
         """In which brick each ray stands, where within it (-0.5 to 0.5), and how far the nearest is that holds something."""
-        np.multiply(self.point, np.float32(1 / BRICK), out=self.within)
+        np.multiply(self.point, np.float32(1 / BRICK_VOXELS), out=self.within)
         np.trunc(self.within, out=self.brick)
         self.within -= self.brick
         self.within -= np.float32(0.5)
@@ -138,7 +138,7 @@ class RayMarcher:
 
     def numbers(self, point: NDArray[Any]) -> NDArray[Any]:
         """The bricks [n] that points [3, n] are in."""
-        brick = point * np.float32(1 / BRICK)
+        brick = point * np.float32(1 / BRICK_VOXELS)
         return self.numbered(np.trunc(brick, out=brick))
 
     def numbered(self, brick: NDArray[Any]) -> NDArray[Any]:
@@ -152,15 +152,15 @@ class RayMarcher:
 
     def leave(self) -> None:
         """t to the first sample outside the cube of empty bricks around each ray's (a hair early, never late)."""
-        np.multiply(self.distance, np.float32(BRICK), out=self.reach)
-        self.reach -= np.float32(BRICK / 2)
+        np.multiply(self.distance, np.float32(BRICK_VOXELS), out=self.reach)
+        self.reach -= np.float32(BRICK_VOXELS / 2)
         np.multiply(self.span, self.reach, out=self.exit)
         self.within *= self.turns
         self.exit -= self.within
         ahead = self.ahead
         np.minimum(self.exit[0], self.exit[1], out=ahead)
         np.minimum(ahead, self.exit[2], out=ahead)
-        ahead -= HAIR
+        ahead -= STEP_EPSILON
         np.maximum(ahead, 0, out=ahead)
         np.trunc(ahead, out=ahead)
         ahead += 1
@@ -175,8 +175,8 @@ class RayMarcher:
             jump *= self.pace.take(near)
             self.ahead[near] = np.trunc(jump) + 1
         hit = near[distance == 0]
-        for start in range(0, len(hit), SLICE // AHEAD):
-            self.sample(hit[start : start + SLICE // AHEAD])
+        for start in range(0, len(hit), MAX_INTERPOLATED // SAMPLES_PER_PASS):
+            self.sample(hit[start : start + MAX_INTERPOLATED // SAMPLES_PER_PASS])
 
     def tents(self, point: NDArray[Any], number: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """First voxel [n] of the tents that points [3, n] in bricks [n] are in, and where in them [3, n], which overwrites the points."""
@@ -197,21 +197,21 @@ class RayMarcher:
         Rays that meet something mostly go on doing so; taking several samples at once shares what is spent on each.
         """
         count = len(rows)
-        self.samples += AHEAD * count
+        self.samples += SAMPLES_PER_PASS * count
         moving = self.moving.take(rows, axis=1)
-        t = (moving[6] + np.arange(AHEAD, dtype=np.float32)[:, None]).reshape(-1)
-        point = (moving[3:6, None] * t.reshape(AHEAD, count) + moving[:3, None]).reshape(3, -1)
+        t = (moving[6] + np.arange(SAMPLES_PER_PASS, dtype=np.float32)[:, None]).reshape(-1)
+        point = (moving[3:6, None] * t.reshape(SAMPLES_PER_PASS, count) + moving[:3, None]).reshape(3, -1)
         number = self.numbers(point)
         used = self.tables.brick_distance.take(number, mode="clip") == 0
-        used &= t < np.tile(moving[7], AHEAD)
+        used &= t < np.tile(moving[7], SAMPLES_PER_PASS)
         first, fraction = self.tents(point, number)
         values = self.interpolate(first, fraction)
         if self.residual is not None:
-            self.shade(values, np.tile(self.index.take(rows), AHEAD))
+            self.shade(values, np.tile(self.index.take(rows), SAMPLES_PER_PASS))
         light = self.light.take(rows)
-        weight = (used * np.float32(1 / self.tables.unit)).reshape(AHEAD, count)
-        alpha = values[:, -1].reshape(AHEAD, count) * weight
-        for step in range(AHEAD):
+        weight = (used * np.float32(1 / self.tables.unit)).reshape(SAMPLES_PER_PASS, count)
+        alpha = values[:, -1].reshape(SAMPLES_PER_PASS, count) * weight
+        for step in range(SAMPLES_PER_PASS):
             weight[step] *= light
             if self.visited is not None:
                 self.visit(first, fraction, used, step, light)
@@ -219,10 +219,10 @@ class RayMarcher:
         self.light[rows] = np.maximum(light, 0)
         values[:, -1] *= t
         gathered = self.values.take(rows, axis=0)
-        gathered += np.einsum("kn,knc->nc", weight, values.reshape(AHEAD, count, -1))
+        gathered += np.einsum("kn,knc->nc", weight, values.reshape(SAMPLES_PER_PASS, count, -1))
         whole = np.dtype((np.void, gathered.itemsize * gathered.shape[1]))  # rows are set quickest where one is one value
         self.values.view(whole)[rows] = gathered.view(whole)
-        self.ahead[rows] = AHEAD
+        self.ahead[rows] = SAMPLES_PER_PASS
 
     def visit(self, first: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any], step: int, light: NDArray[Any]) -> None:
         """Mark the voxels nearest to the samples [n] of one step that light still reached, where something is near."""
@@ -241,17 +241,17 @@ class RayMarcher:
         values[opaque, :3] += seen[:, -1:] * self.residual(straight[:, :3], straight[:, 3:], index[opaque])
 
 
-class Interpolate:
+class Interpolator:
     """Trilinear interpolation of voxels; its buffers are its own, so that a thread needs one of its own."""
 
     def __init__(self, tables: Acceleration) -> None:
         self.tables, self.whole = tables, tables.voxels.ndim == 1
         channels = tables.channels
-        self.corners = [tables.voxels[corner:] for corner in CORNERS]
-        self.words = np.empty(8 * SLICE, tables.voxels.dtype)
-        self.values = np.empty(8 * SLICE * channels, np.float32)
-        self.spare = np.empty(4 * SLICE * channels, np.float32)
-        self.fractions = np.empty(SLICE * channels // 2, np.uint64)
+        self.corners = [tables.voxels[corner:] for corner in CORNER_OFFSETS]
+        self.words = np.empty(8 * MAX_INTERPOLATED, tables.voxels.dtype)
+        self.values = np.empty(8 * MAX_INTERPOLATED * channels, np.float32)
+        self.spare = np.empty(4 * MAX_INTERPOLATED * channels, np.float32)
+        self.fractions = np.empty(MAX_INTERPOLATED * channels // 2, np.uint64)
 
     def __call__(self, first: NDArray[Any], fraction: NDArray[Any]) -> NDArray[Any]:
         """[n, C] float32, in units of the table; a view that the next call overwrites. At most SLICE samples."""

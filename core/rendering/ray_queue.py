@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FEW = 2048  # rays that one walk hands on to another: so few are as quick with those, and two walks in each other's way are not
+DONATE_BELOW = 2048  # rays that one walk hands on to another: so few are as quick with those, and two walks in each other's way are not
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class RayBatch:
     """Rays within the grid, in voxels.
 
     index: [N] which they are among all. moving: [8, N] float32: the point of entry, the direction (of unit length), t at which
@@ -28,25 +28,25 @@ class Rays:
     values: NDArray[Any]
 
     @classmethod
-    def new(cls, index: NDArray[Any], moving: NDArray[Any], channels: int) -> Rays:
+    def new(cls, index: NDArray[Any], moving: NDArray[Any], channels: int) -> RayBatch:
         """Rays that have met nothing yet."""
         return cls(index, moving, np.ones(len(index), np.float32), np.zeros((len(index), channels), np.float32))
 
     @classmethod
-    def joined(cls, parts: Sequence[Rays]) -> Rays:
+    def joined(cls, parts: Sequence[RayBatch]) -> RayBatch:
         """One after the other."""
         if len(parts) == 1:
             return parts[0]
         index, light, values = (np.concatenate([getattr(part, name) for part in parts]) for name in ("index", "light", "values"))
         return cls(index, np.concatenate([part.moving for part in parts], axis=1), light, values)
 
-    def some(self, rows: slice) -> Rays:
+    def some(self, rows: slice) -> RayBatch:
         """Those of a stretch; nothing is copied."""
-        return Rays(self.index[rows], self.moving[:, rows], self.light[rows], self.values[rows])
+        return RayBatch(self.index[rows], self.moving[:, rows], self.light[rows], self.values[rows])
 
-    def only(self, rows: NDArray[Any]) -> Rays:
+    def only(self, rows: NDArray[Any]) -> RayBatch:
         """Those of some rows."""
-        return Rays(self.index.take(rows), self.moving.take(rows, axis=1), self.light.take(rows), self.values.take(rows, axis=0))
+        return RayBatch(self.index.take(rows), self.moving.take(rows, axis=1), self.light.take(rows), self.values.take(rows, axis=0))
 
 
 class RayQueue:
@@ -56,13 +56,13 @@ class RayQueue:
     many rays are, those that meet nothing included; samples: how many were taken.
     """
 
-    def __init__(self, make: Callable[[slice], Rays], shares: Sequence[slice], walks: int) -> None:
+    def __init__(self, make: Callable[[slice], RayBatch], shares: Sequence[slice], walks: int) -> None:
         self.make, self.shares, self.walks = make, shares, walks
         self.taken = self.making = self.finished = self.samples = 0
-        self.ready: list[Rays] = []
+        self.ready: list[RayBatch] = []
         self.changed = threading.Condition()
 
-    def take(self, room: int, idle: bool) -> Rays | None:
+    def take(self, room: int, idle: bool) -> RayBatch | None:
         """Up to `room` rays; None when there are none at present. idle: the walk has none of its own either; it waits for those that are
         being made, and None is its end."""
         with self.changed:
@@ -89,13 +89,13 @@ class RayQueue:
                     made = self._cut(made, room)
         return made
 
-    def _cut(self, rays: Rays, room: int) -> Rays:
+    def _cut(self, rays: RayBatch, room: int) -> RayBatch:
         """Up to `room` of these; the rest is ready for the next who comes."""
         if len(rays.index) > room:
             self.ready.append(rays.some(slice(room, None)))
         return rays.some(slice(room))
 
-    def hand(self, rays: Rays) -> bool:
+    def hand(self, rays: RayBatch) -> bool:
         """Give rays to another walk, which will take them; then this one ends. False where no other is left, or there are
         more to take, or soon will be."""
         with self.changed:

@@ -22,19 +22,19 @@ from ..nerf.frame import Composited, Frame, residual, shade
 from ..progress import Progress, silent, within
 from ..scene.scene import Scene
 from .acceleration import acceleration_of
-from .early_termination import stop_for
-from .packet_traversal import BUNDLE, approach, enter
-from .ray_marcher import Gathered, RayMarcher
-from .ray_queue import RayQueue, Rays
+from .early_termination import stop_transmittance_for
+from .packet_traversal import PACKET_RAYS, intersect_grid, start_batch
+from .ray_marcher import MarchOutput, RayMarcher
+from .ray_queue import RayBatch, RayQueue
 
-BUNDLED = 2**17  # rays whose way through empty space is found together: few steps of many bundles
+MAX_CHUNK_RAYS = 2**17  # rays whose way through empty space is found together: few steps of many bundles
 # Rays that are made, or shaded, together, and those whose colours the network is asked for in one product. BLAS would take threads of its
 # own for more, and keep them waiting in a loop for the next product while the marcher's own want the processor.
-SHARE = 16384
+RAYS_PER_PASS = 16384
 TILE = 8  # pixels along the side of a tile, whose rays are one bundle
-TICK_SECONDS = 0.03  # between two calls of `progress`
-INVISIBLE = 0.5 / 255  # a tolerance: half a level of a picture of 8 bits
-FIRST = 4  # how many times smaller, each way, the first picture is
+PROGRESS_SECONDS = 0.03  # between two calls of `progress`
+PREVIEW_TOLERANCE = 0.5 / 255  # a tolerance: half a level of a picture of 8 bits
+FIRST_REDUCTION = 4  # how many times smaller, each way, the first picture is
 
 
 @dataclass(frozen=True)
@@ -56,47 +56,47 @@ class MarchSettings:
 
 
 def render_scene(
-    snerg: Scene,
+    scene: Scene,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
 ) -> Frame:
     """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few tenths of a second."""
-    pixels, near = tiled(camera.width, camera.height), max(snerg.near, camera.near)
-    found = _march(snerg, lambda some: camera.rays(pixels[some]), len(pixels), settings, progress, near)
+    pixels, near = tiled_pixels(camera.width, camera.height), max(scene.near, camera.near)
+    found = _march(scene, lambda some: camera.rays(pixels[some]), len(pixels), settings, progress, near)
     colour, alpha = found.colour, 1 - found.transmittance
     depth = np.where(alpha > 0, found.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
 
     def finish(some: slice) -> None:
         seen = some.start + np.flatnonzero(alpha[some] > 0)
         origins, directions = camera.rays(pixels[seen])
-        depth[seen] = world_distance(snerg.ndc, origins, directions, depth[seen], near)
+        depth[seen] = world_distance(scene.ndc, origins, directions, depth[seen], near)
         if not settings.per_sample_network:
-            colour[seen] = shade(snerg.network, found.part(seen), directions @ snerg.view_rotation.T)
+            colour[seen] = shade(scene.network, found.part(seen), directions @ scene.view_rotation.T)
 
-    if snerg.network is not None or snerg.ndc is not None:
+    if scene.network is not None or scene.ndc is not None:
         with ThreadPoolExecutor(settings.threads) as pool:
-            list(pool.map(finish, _shares(0, len(pixels), SHARE)))
+            list(pool.map(finish, _chunks(0, len(pixels), RAYS_PER_PASS)))
     picture = [np.empty((camera.height, camera.width, *values.shape[1:]), np.float32) for values in (colour, alpha, depth)]
     for whole, values in zip(picture, (colour, alpha, depth), strict=True):
         whole[pixels[:, 1], pixels[:, 0]] = values
     return Frame(*picture)
 
 
-def progressive(
-    snerg: Scene,
+def render_progressively(
+    scene: Scene,
     camera: Camera,
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
 ) -> Iterator[Frame]:
     """First a picture of a quarter of the width and height, then the whole one. `progress` as in `march`, over both."""
-    small = camera.resized(-(-camera.width // FIRST), -(-camera.height // FIRST))
-    share = 1 / (1 + FIRST**2)
-    yield render_scene(snerg, small, settings, within(progress, 0, share))
-    yield render_scene(snerg, camera, settings, within(progress, share, 1))
+    small = camera.resized(-(-camera.width // FIRST_REDUCTION), -(-camera.height // FIRST_REDUCTION))
+    share = 1 / (1 + FIRST_REDUCTION**2)
+    yield render_scene(scene, small, settings, within(progress, 0, share))
+    yield render_scene(scene, camera, settings, within(progress, share, 1))
 
 
-def tiled(width: int, height: int) -> NDArray[Any]:
+def tiled_pixels(width: int, height: int) -> NDArray[Any]:
     """[N, 2] (column, row) of all pixels, tile by tile; tiles that reach past the picture's edge repeat the pixels there."""
     across, down = (np.minimum(np.arange(-(-size // TILE) * TILE), size - 1).reshape(-1, TILE) for size in (width, height))
     row, column = np.broadcast_arrays(down[:, None, :, None], across[None, :, None, :])
@@ -104,7 +104,7 @@ def tiled(width: int, height: int) -> NDArray[Any]:
 
 
 def march_rays(
-    snerg: Scene,
+    scene: Scene,
     origins: NDArray[Any],
     directions: NDArray[Any],
     settings: MarchSettings = MarchSettings(),
@@ -117,11 +117,11 @@ def march_rays(
     Quickest where every 64 rays that follow one another are close together. near: world units along the ray. visited: bool
     [M * 32^3], set where a sample was taken in a voxel (always in a block's own part of its cell).
     """
-    return _march(snerg, lambda some: (origins[some], directions[some]), len(origins), settings, progress, near, visited)
+    return _march(scene, lambda some: (origins[some], directions[some]), len(origins), settings, progress, near, visited)
 
 
 def _march(
-    snerg: Scene,
+    scene: Scene,
     rays: Callable[[slice], tuple[NDArray[Any], NDArray[Any]]],
     count: int,
     settings: MarchSettings,
@@ -130,57 +130,57 @@ def _march(
     visited: NDArray[Any] | None = None,
 ) -> Composited:
     """`march_rays` of rays that are made when their turn comes."""
-    tables = acceleration_of(snerg)
-    into = Gathered(np.zeros((count, tables.channels), np.float32), np.ones(count, np.float32))
+    tables = acceleration_of(scene)
+    into = MarchOutput(np.zeros((count, tables.channels), np.float32), np.ones(count, np.float32))
     begins = np.zeros(count, np.float32)
-    sampled = snerg.network is not None and settings.per_sample_network
+    sampled = scene.network is not None and settings.per_sample_network
     views = np.empty((count if sampled else 0, 3), np.float32)
 
     def entered(some: slice) -> tuple[NDArray[Any], ...]:
         origins, directions = rays(some)
         if sampled:
-            views[some] = directions @ snerg.view_rotation.T
-        return enter(snerg, origins, directions, near)
+            views[some] = directions @ scene.view_rotation.T
+        return intersect_grid(scene, origins, directions, near)
 
-    def make(some: slice) -> Rays:
-        parts = [entered(part) for part in _shares(some.start, some.stop, SHARE)]
+    def make(some: slice) -> RayBatch:
+        parts = [entered(part) for part in _chunks(some.start, some.stop, RAYS_PER_PASS)]
         entry, direction, start, stop = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
         begins[some] = start
-        return approach(tables, entry, direction, start, stop, settings.skip, some.start)
+        return start_batch(tables, entry, direction, start, stop, settings.skip, some.start)
 
     def shaded(colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
-        assert snerg.network is not None
-        return residual(snerg.network, colour, features, views[index])
+        assert scene.network is not None
+        return residual(scene.network, colour, features, views[index])
 
     light = settings.stop_transmittance
     if light is None:
-        light = stop_for(settings.tolerance, snerg, settings.per_sample_network)
+        light = stop_transmittance_for(settings.tolerance, scene, settings.per_sample_network)
 
-    bundled = min(BUNDLED, max(-(-count // (settings.threads * BUNDLE)), 1) * BUNDLE)
-    supply = RayQueue(make, _shares(0, count, bundled), settings.threads)
+    bundled = min(MAX_CHUNK_RAYS, max(-(-count // (settings.threads * PACKET_RAYS)), 1) * PACKET_RAYS)
+    supply = RayQueue(make, _chunks(0, count, bundled), settings.threads)
 
     def work(cancelled: Callable[[], bool]) -> None:
         RayMarcher(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
 
-    _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
+    _run_threads(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
     depth = into.values[:, -1] + (1 - into.through) * begins
-    depth *= np.float32(snerg.voxel_size)
+    depth *= np.float32(scene.voxel_size)
     found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)
-    return filled(found) if snerg.opacity_correction else found
+    return correct_opacity(found) if scene.opacity_correction else found
 
 
-def _shares(first: int, last: int, most: int) -> list[slice]:
+def _chunks(first: int, last: int, most: int) -> list[slice]:
     return [slice(start, min(start + most, last)) for start in range(first, last, most)]
 
 
-def _together(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:
+def _run_threads(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:
     """Do `work` in several threads; `tell` is called now and then, at least once, in this one. Whatever one of them raises ends all."""
     stopped = threading.Event()
     with ThreadPoolExecutor(threads) as pool:
         running = {pool.submit(work, stopped.is_set) for _ in range(threads)}
         try:
             while running:
-                done, running = wait(running, TICK_SECONDS)
+                done, running = wait(running, PROGRESS_SECONDS)
                 for one in done:
                     one.result()
                 tell()
@@ -188,7 +188,7 @@ def _together(work: Callable[[Callable[[], bool]], None], threads: int, tell: Ca
             stopped.set()
 
 
-def filled(rays: Composited) -> Composited:
+def correct_opacity(rays: Composited) -> Composited:
     """Rays up to 1.5 times as opaque, all of what they gather with them (eq. 9): baking lets a little light through surfaces.
 
     The factor is written so that it is finite at alpha 0 and continuous at 2/3, above which a ray is opaque (hard case 53).

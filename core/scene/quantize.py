@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-THIN = 12  # levels of alpha below which rounding is dithered
+DITHER_BELOW = 12  # levels of alpha below which rounding is dithered
 
 
 def quantize(values: NDArray[Any], noise: NDArray[Any]) -> NDArray[Any]:
@@ -19,7 +19,7 @@ def quantize(values: NDArray[Any], noise: NDArray[Any]) -> NDArray[Any]:
     """
     level = values * np.float32(255)
     stored = level + np.float32(0.5)
-    thin = np.flatnonzero(level[:, -1] < THIN)
+    thin = np.flatnonzero(level[:, -1] < DITHER_BELOW)
     alpha = np.floor(level[thin, -1] + noise[thin, -1])
     straight = level[thin, :-1] / np.maximum(level[thin, -1:], np.float32(1e-9))
     stored[thin, -1] = alpha

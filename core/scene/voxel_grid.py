@@ -14,7 +14,7 @@ from ..geometry.box import Box
 from .blocks import DATA_VOXELS
 from .scene import blocks_of
 
-FINEST = 4096  # voxels along an axis that a bake may have
+MAX_RESOLUTION = 4096  # voxels along an axis that a bake may have
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class VoxelGrid:
     def inside(cls, box: Box, voxel: float) -> VoxelGrid:
         """Voxels of a size in units of the box. Raises SnergError when there would be too many along a side."""
         counts = np.ceil(box.size / voxel - 1e-6)
-        if counts.max() > FINEST:
-            most = float(box.size.max()) / FINEST
+        if counts.max() > MAX_RESOLUTION:
+            most = float(box.size.max()) / MAX_RESOLUTION
             raise SnergError(f"Voxels of {voxel:.3g} make {counts.max():.0f} along the box's longest side; choose at least {most:.3g}.")
         counts = counts.astype(int).clip(1) + 2
         pose = box.box_to_world.copy()

@@ -7,11 +7,11 @@ import threading
 import numpy as np
 import pytest
 
-from snerg.core.rendering.ray_queue import RayQueue, Rays
+from snerg.core.rendering.ray_queue import RayBatch, RayQueue
 
 
-def rays(first: int, count: int) -> Rays:
-    return Rays.new(np.arange(first, first + count), np.zeros((8, count), np.float32), 4)
+def rays(first: int, count: int) -> RayBatch:
+    return RayBatch.new(np.arange(first, first + count), np.zeros((8, count), np.float32), 4)
 
 
 def test_every_ray_is_given_once_in_parts_that_fit():
@@ -45,7 +45,7 @@ def test_rays_are_handed_on_only_to_a_walk_that_is_still_there():
 def test_an_idle_walk_waits_for_rays_that_another_is_making():
     made, asked = threading.Event(), threading.Event()
 
-    def make(some: slice) -> Rays:
+    def make(some: slice) -> RayBatch:
         asked.set()
         assert made.wait(10)
         return rays(some.start, some.stop - some.start)
@@ -71,7 +71,7 @@ def test_an_idle_walk_waits_for_rays_that_another_is_making():
 
 
 def test_rays_that_cannot_be_made_end_the_walk_and_not_the_others():
-    def make(_some: slice) -> Rays:
+    def make(_some: slice) -> RayBatch:
         raise ValueError("no")
 
     supply = RayQueue(make, [slice(0, 6)], 2)
