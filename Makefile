@@ -76,6 +76,7 @@ lint: $(VENV)/.installed
 	$(PY) -m ruff format --check .
 	mkdir -p build/types && ln -sfn ../.. build/types/snerg
 	MYPYPATH=build/types $(PY) -m mypy $(TYPED)
+	$(PY) -m pytest -q tests/test_arrows.py tests/test_docstrings.py
 
 format: $(VENV)/.installed
 	$(PY) -m ruff check --fix .

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
+from .data.dataset import Dataset
+from .data.load import read_dataset
 from .data.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
 from .export.scene_files import is_scene, read_scene
-from .io.files import MARK
+from .io.files import MARK, one_generation
 from .nerf.checkpoint import is_field, read_field
 from .nerf.field import Field
 from .nerf.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
@@ -17,6 +20,8 @@ from .progress import Progress, silent
 from .scene.scene import Scene
 
 Result = dict[str, Any]
+FIELDS = ("field", "checkpoint")
+SCENES = ("scene", "reference scene", "page")
 
 
 def kind_of(path: Path) -> str:
@@ -46,20 +51,39 @@ def is_dataset(path: Path) -> bool:
         return False  # a folder that may not be looked into
 
 
-def any_scene(path: Path, progress: Progress = silent) -> Scene:
-    """A baked scene of ours, in a folder or in a web page's, or one in the reference layout."""
+def open_artifact(path: str | os.PathLike[str], progress: Progress = silent) -> Dataset | Field | Scene:
+    """What lies at a path: a capture's train split, a field (ours or a reference checkpoint's), or a scene (a folder of ours, of the
+    published layout, or a web page's). Raises SnergError where it is none of these, or damaged."""
+    place = Path(path)
+
+    def opened() -> Dataset | Field | Scene:
+        kind = kind_of(place)
+        if kind == "dataset":
+            return read_dataset(place)
+        return _open_field(place, kind) if kind in FIELDS else _open_scene(place, kind, progress)
+
+    return one_generation(place, opened)
+
+
+def open_field(path: Path) -> Field:
+    """The field at a path, ours or a reference checkpoint's. Raises SnergError where something else is there."""
     kind = kind_of(path)
-    if kind == "page" and is_scene(path / "scene"):
-        return read_scene(path / "scene")
-    if kind == "scene":
-        return read_scene(path)
-    if kind == "reference scene":
-        return read_reference(path, progress)
-    raise SnergError(f"{path} is a {kind}, not a baked scene; bake or import one first.")
+    if kind not in FIELDS:
+        raise SnergError(f"{path} is a {kind}, not a field; train a field or import one first.")
+    return _open_field(path, kind)
 
 
-def any_field(path: Path) -> Field:
-    """A field of ours, or the one of a reference checkpoint. Raises SnergError when `path` holds neither."""
-    if kind_of(path) == "checkpoint":
-        return field_of(read_reference_checkpoint(path), str(path))
-    return read_field(path)
+def open_scene(path: Path, progress: Progress = silent) -> Scene:
+    """The baked scene at a path, in our layout, the published one's, or in a web page. Raises SnergError where something else is there."""
+    kind = kind_of(path)
+    if kind not in SCENES or (kind == "page" and not is_scene(path / "scene")):
+        raise SnergError(f"{path} is a {kind}, not a baked scene; bake or import one first.")
+    return _open_scene(path, kind, progress)
+
+
+def _open_field(path: Path, kind: str) -> Field:
+    return field_of(read_reference_checkpoint(path), str(path)) if kind == "checkpoint" else read_field(path)
+
+
+def _open_scene(path: Path, kind: str, progress: Progress) -> Scene:
+    return read_reference(path, progress) if kind == "reference scene" else read_scene(path / "scene" if kind == "page" else path)

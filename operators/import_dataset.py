@@ -31,6 +31,7 @@ class SNERG_OT_import_dataset(ImportVerb, bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
     key, what = "dataset", "dataset"
+    accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 
     def start(self, context: bpy.types.Context, project: Project) -> Work:
         """Read in a thread; the scene is touched only at the end, all at once, so that one undo takes it back."""

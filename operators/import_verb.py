@@ -21,10 +21,14 @@ class ImportVerb(LongVerb):
 
     key: ClassVar[str]
     what: ClassVar[str]
+    accepted: ClassVar[str] = "*"  # the files that the browser shows beside folders: those that can be chosen
 
     filepath: bpy.props.StringProperty(
         name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATHS}
     )
+
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the path first, where there is a window to ask in."""
@@ -32,6 +36,7 @@ class ImportVerb(LongVerb):
             return super().invoke(context, event)
         self._asked = True
         self.filepath = bpy.path.abspath("//") if bpy.data.filepath else ""  # else the browser proposes the .blend's own name
+        self.filter_glob = self.accepted
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 

@@ -70,6 +70,7 @@ class Marching:
     def __init__(self, project: Project, camera: Camera, shown: Callable[[Frame], None]) -> None:
         self.state: State = "running"
         self.fraction, self.message = 0.0, "Reading the scene"
+        self.notes: list[str] = []
         self.result: dict[str, Any] = {}
         self.error = ""
         self._project, self._camera, self._shown = project, camera, shown

@@ -21,6 +21,7 @@ class Work(Protocol):
     state: State
     fraction: float
     message: str
+    notes: list[str]
     result: dict[str, Any]
     error: str
 
@@ -38,6 +39,7 @@ class Steps:
         self.state: State = "running"
         self.fraction = 0.0
         self.message = "Starting"
+        self.notes: list[str] = []
         self.result: dict[str, Any] = {}
         self.error = ""
         self._steps: Any = steps
@@ -91,6 +93,7 @@ class Thought:
         self.state: State = "running"
         self.fraction = 0.0
         self.message = "Starting"
+        self.notes: list[str] = []
         self.result: dict[str, Any] = {}
         self.error = ""
         self._ended: tuple[State, Any] | None = None

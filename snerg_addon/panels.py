@@ -76,6 +76,8 @@ def draw_progress(layout: bpy.types.UILayout, busy: activity.Activity) -> None:
     stop.enabled = not work.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = busy.key
     column.label(text="Goes on when Blender closes" if busy.outlives else "Ends when Blender closes")
+    for note in work.notes:
+        facts(column, *textwrap.wrap(note, LINE - 6))
 
 
 def draw_last(layout: bpy.types.UILayout, said: tuple[str, bool] | None) -> None:
@@ -276,11 +278,13 @@ def draw_versions(layout: bpy.types.UILayout, project: Project, step: str) -> No
 
 
 def curve_texts(curve: Curve) -> tuple[str, str]:
-    """('31.2 dB on held-out views', '4200 steps, 2:31 min')."""
+    """('31.2 dB on held-out views', '4200 steps, 2:31 min'); both empty before the first line of the log."""
     if curve.held_out is not None:
         quality = f"{curve.held_out:.1f} dB on held-out views"
     else:
         quality = f"{curve.psnr:.1f} dB on training rays" if curve.psnr is not None else ""
+    if not curve.steps:  # the log of a training that has only begun says nothing yet
+        return quality, ""
     return quality, joined(f"{curve.steps} steps", f"{int(curve.seconds) // 60}:{int(curve.seconds) % 60:02d} min")
 
 

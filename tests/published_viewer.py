@@ -82,7 +82,7 @@ class PublishedViewer:
         along = np.stack([x * (dx / dz - ox / oz), y * (dy / dz - oy / oz), 2 / oz], axis=-1)
         return start, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
-    def render_scene(self, origins: np.ndarray, directions: np.ndarray, near: float, looking: np.ndarray) -> np.ndarray:
+    def march(self, origins: np.ndarray, directions: np.ndarray, near: float, looking: np.ndarray) -> np.ndarray:
         origin = (origins - self.low) / self.voxel
         enters, leaves = slab(origin, directions, np.zeros(3), self.grid)
         t = np.maximum(near / self.voxel, enters) + 0.5

@@ -23,6 +23,7 @@ ROOMS = (
     "artifact",
     "study",
     "commands",
+    "api",
     "cli",
     "start",
 )

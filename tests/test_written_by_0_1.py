@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("jax")
 
 from scenes import make_cameras
-from snerg.core.artifact import any_scene
+from snerg.core.artifact import open_scene
 from snerg.core.commands.info import info
 from snerg.core.commands.train import train_field
 from snerg.core.nerf.checkpoint import FILE, read_field
@@ -42,7 +42,7 @@ def test_a_field_evaluates_as_it_did(expected, name):
 
 
 def test_a_scene_renders_as_it_did(expected):
-    frame = render_scene(any_scene(WRITTEN / "scene"), make_cameras(width=24, height=18)[0])
+    frame = render_scene(open_scene(WRITTEN / "scene"), make_cameras(width=24, height=18)[0])
     np.testing.assert_allclose(frame.colour, expected["scene_colour"], atol=1e-5)
     np.testing.assert_allclose(frame.alpha, expected["scene_alpha"], atol=1e-5)
     assert info(WRITTEN / "scene")["effects"] == {"view_dependence": True, "ndc": False, "fill_holes": False}

@@ -47,9 +47,9 @@ def bake_scene(
     check_out(out, "scene", field)
     check_storable(settings.quantise, codec)
     source = read_field(field)
-    _check_settings(settings, source)
+    check_settings(settings, source)
     volume = Box.read(box) if box is not None else source.domain.world_box()
-    dataset = _images_to_refine_on(source) if refine and settings.network else None
+    dataset = images_to_refine_on(source) if refine and settings.network else None
     unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
     snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished)
     write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
@@ -59,7 +59,7 @@ def bake_scene(
     return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
 
 
-def _check_settings(settings: BakeSettings, field: Field) -> None:
+def check_settings(settings: BakeSettings, field: Field) -> None:
     check_voxel_size(settings, field)
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
@@ -67,7 +67,7 @@ def _check_settings(settings: BakeSettings, field: Field) -> None:
         raise SnergError("The field knows no cameras, so that all of it is kept in any case; bake it without --no-visibility.")
 
 
-def _images_to_refine_on(field: Field) -> Dataset | None:
+def images_to_refine_on(field: Field) -> Dataset | None:
     """The images that the field was trained on, or None where there is nothing to refine or it was imported."""
     if field.network is None or not field.dataset:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..artifact import Result, any_field, any_scene, kind_of
+from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.load import read_dataset
 from ..export.scene_files import PNG, codec_of, is_scene
 from ..progress import Progress, silent
@@ -24,8 +24,8 @@ def _found(path: Path, kind: str, progress: Progress) -> list[Effect]:
     if kind == "dataset":
         return of_dataset(read_dataset(path), progress)
     if kind in ("field", "checkpoint"):
-        return of_field(any_field(path))
-    snerg, folder = any_scene(path), path / "scene" if kind == "page" else path
+        return of_field(open_field(path))
+    snerg, folder = open_scene(path), path / "scene" if kind == "page" else path
     stored = snerg.quantised and is_scene(folder)
     return of_scene(snerg, codec_of(folder) if stored else PNG if kind == "reference scene" else None)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..artifact import Result, any_field, kind_of
+from ..artifact import Result, kind_of, open_field
 from ..baking.bake import BakeSettings
 from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
@@ -61,7 +61,7 @@ def _looked(path: Path, kept: Path | None, progress: Progress) -> FieldProbe:
 
     if kept is not None:
         check_survey(kept)
-    mark, field = stamp(path), any_field(path)
+    mark, field = stamp(path), open_field(path)
     looked = read_survey(kept, mark, lambda: field) if kept is not None else None
     if looked is None:
         progress(0.1, "Looking at the field")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..artifact import Result, any_scene
-from ..export.reference import write_reference
+from ..artifact import Result, kind_of, open_scene
+from ..export.reference import reference_files, write_reference
 from ..export.scene_files import is_scene, scene_files
 from ..io.files import one_generation
 from ..io.lock import writes_out
@@ -24,12 +24,14 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
 
 
 def published(scene: Path) -> Scene:
-    """A baked scene to publish. Raises SnergError where one of ours takes a file from elsewhere, through a link."""
+    """A baked scene to publish. Raises SnergError where it takes a file from elsewhere, through a link."""
 
     def read() -> Scene:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
             if is_scene(folder):
                 scene_files(folder)
-        return any_scene(scene)
+        if kind_of(scene) == "reference scene":
+            reference_files(scene)
+        return open_scene(scene)
 
     return one_generation(scene, read)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..artifact import Result, any_field, any_scene, kind_of
+from ..artifact import Result, kind_of, open_field, open_scene
 from ..errors import SnergError
 from ..export.scene_files import write_scene
 from ..io.files import new_folder
@@ -24,9 +24,9 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
     kind = kind_of(source)
     check_out(out, {"reference scene": "scene", "page": "scene", "checkpoint": "field"}.get(kind, kind), source)
     if kind in ("scene", "page", "reference scene"):
-        write_scene(any_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
+        write_scene(open_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
     elif kind in ("field", "checkpoint"):
-        field = any_field(source)
+        field = open_field(source)
         with new_folder(out) as folder:  # so that the log of a training that was there before goes with its field
             write_field(field, folder)
     else:

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..artifact import Result, any_field, kind_of
+from ..artifact import Result, kind_of, open_field
 from ..data.load import read_dataset
 from ..export.reference import read_params, read_reference
 from ..export.scene_files import codec_of, is_scene, read_scene
@@ -34,8 +34,8 @@ def _info(path: Path) -> Result:
     kind = kind_of(path)
     about = {
         "dataset": _dataset_info,
-        "field": lambda p: _field_info(any_field(p)) | _unfinished(p),
-        "checkpoint": lambda p: _field_info(any_field(p)),
+        "field": lambda p: _field_info(open_field(p)) | _unfinished(p),
+        "checkpoint": lambda p: _field_info(open_field(p)),
         "scene": _stored_info,
         "reference scene": _reference_info,
         "page": _page_info,

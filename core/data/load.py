@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from .readers import colmap, llff, transforms
 DEFAULT_OPTIONS = DatasetOptions()
 
 
-def read_dataset(path: Path, split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
+def read_dataset(path: str | os.PathLike[str], split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
     """Open a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
 
     Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.

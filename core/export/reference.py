@@ -25,7 +25,7 @@ from ..errors import SnergError
 from ..geometry.camera import Camera, focal_from_angle, rigid
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import json_bytes, new_folder, one_generation, read_json
+from ..io.files import check_own, json_bytes, new_folder, one_generation, read_json
 from ..io.guard import reading, why
 from ..io.images import png_bytes, read_image, read_size
 from ..io.schema import FAR, flag, number, numbers, pose, positive, shown, whole
@@ -377,6 +377,22 @@ def _network(value: dict[str, Any]) -> ViewNetwork:
     for key, shape in zip(KERNELS, SHAPES, strict=True):
         arrays.append(numbers(value[key], key, shape, LARGEST).astype(np.float32))
     return ViewNetwork(*arrays)
+
+
+def reference_files(folder: Path) -> list[Path]:
+    """The files that scene_params.json names, of a folder that `read_reference` reads.
+
+    Raises SnergError when one of them is a link or missing.
+    """
+    check_own(folder / "scene_params.json")  # before it is read
+    params = read_params(folder)
+    kinds = ("rgba",) if params.network is None else ("rgba", "feature")
+    slices = range(params.atlas[2] * CELL_VOXELS // PLANES)
+    names = ["scene_params.json", "atlas_indices.png", *(f"{kind}_{index:03d}.png" for kind in kinds for index in slices)]
+    files = [folder / name for name in names]
+    for path in files:
+        check_own(path)
+    return files
 
 
 def read_indices(folder: Path, params: ReferenceParams) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -19,7 +19,7 @@ from ..io.about import check_about_scene
 from ..io.files import check_own, json_bytes, new_folder, one_generation, read_json
 from ..io.guard import check_file, reading
 from ..io.images import png_bytes
-from ..io.schema import flag, number, numbers, pose, positive, record, rotation, whole
+from ..io.schema import flag, number, numbers, pose, positive, record, rotation, shown, whole
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import SHAPES, ViewNetwork
 from ..progress import Progress, silent
@@ -209,6 +209,7 @@ def _read_json(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def _read(folder: Path, value: dict[str, Any]) -> Scene:
+    _check_unused(value)
     x, y, z = (whole(n, "shape", 1, MAX_VOXELS) for n in value["shape"])
     blocks = blocks_of((x, y, z))
     check_blocks(blocks)
@@ -228,6 +229,13 @@ def _read(folder: Path, value: dict[str, Any]) -> Scene:
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
         opacity_correction=flag(value["fill_holes"], "fill_holes"),
     )
+
+
+def _check_unused(value: dict[str, Any]) -> None:
+    """Check the values that are stored for other programs only: the web page reads network_transmittance."""
+    number(value["network_transmittance"], "network_transmittance", 0, 1)
+    for name, chosen in record(value["effects"], "effects").items():
+        flag(chosen, f"effects[{shown(name)}]")
 
 
 def _network(value: dict[str, Any]) -> ViewNetwork:

@@ -3,7 +3,8 @@
 A job is a verb of the command line running in a process of its own. It speaks JSON, one object a line, on its standard output,
 which is the file `events.jsonl` of the job's folder (folder.py):
 
-    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these, then one of
+    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these, and of
+    {"progress": 0.0, "message": "...", "note": true}      messages to keep beside those that follow (progress.Note); then one of
     {"result": {...}}                                      what the verb returns
     {"error": "one sentence"}                              exit 2
     {"cancelled": "one sentence"}                          exit 3
@@ -27,6 +28,7 @@ from pathlib import Path
 from typing import Any, Protocol, TextIO
 
 from ..errors import EXIT_ERROR, Cancelled, SnergError
+from ..progress import Note
 from . import folder as folders
 from .interrupt import PATIENCE, deadline, leave
 
@@ -59,7 +61,8 @@ class JobReporter:
     def __call__(self, fraction: float, message: str, /) -> None:
         """Report progress. Raises Cancelled once the job was asked to stop."""
         self.check()
-        self._say({"progress": min(max(float(fraction), 0.0), 1.0), "message": str(message)})
+        line = {"progress": min(max(float(fraction), 0.0), 1.0), "message": str(message)}
+        self._say({**line, "note": True} if isinstance(message, Note) else line)
 
     def check(self) -> None:
         """Raise Cancelled once the job was asked to stop."""

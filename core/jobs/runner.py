@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from ..errors import Cancelled, SnergError
 from ..io.files import cannot_write
+from ..progress import Note
 from . import folder as folders
 from .protocol import GRACE_SECONDS
 
@@ -32,8 +33,8 @@ _children: set[subprocess.Popen[bytes]] = set()  # which nobody may wait for any
 class Job:
     """A process that speaks the protocol of `protocol.py` into a folder of its own (folder.py).
 
-    `begin` starts it; `found` is one that was started before, by whomever. Read `state`, `fraction` (0..1), `message`, `result` and
-    `error` after `poll`.
+    `begin` starts it; `found` is one that was started before, by whomever. Read `state`, `fraction` (0..1), `message`, `notes`
+    (which stay beside the messages), `result` and `error` after `poll`.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class Job:
         self.state: State = "running"
         self.fraction = 0.0
         self.message = "Starting"
+        self.notes: list[str] = []
         self.result: dict[str, Any] = {}
         self.error = ""
         self.folder: Path | None = None
@@ -147,8 +149,13 @@ class Job:
             with tempfile.TemporaryDirectory(prefix="snerg-job-", ignore_cleanup_errors=True) as project:
                 return self.begin(Path(project), {}, attached=True).wait(progress, interval)
         said: tuple[float, str] | None = None
+        noted = 0
         try:
             while self.poll():
+                if progress:
+                    for note in self.notes[noted:]:
+                        progress(self.fraction, Note(note))
+                    noted = len(self.notes)
                 if progress and said != (self.fraction, self.message):
                     said = (self.fraction, self.message)
                     progress(*said)
@@ -179,7 +186,9 @@ class Job:
     def _take(self, line: dict[str, Any]) -> None:
         if isinstance(line.get("progress"), int | float):
             self.fraction = float(line["progress"])
-            if self._cancelled_at is None:
+            if line.get("note") is True:
+                self.notes.append(str(line.get("message", "")))
+            elif self._cancelled_at is None:
                 self.message = str(line.get("message", ""))
         elif self._verdict is not None:  # the first counts: a job may be told to stop as it puts its last things away
             return

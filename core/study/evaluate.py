@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..artifact import Result, any_field, any_scene, kind_of
+from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import read_dataset
 from ..errors import SnergError, needs_jax
@@ -64,6 +64,14 @@ def evaluate(
         subject.options.holdout if holdout is None else holdout, subject.options.downscale if downscale is None else downscale
     )
     views = read_dataset(source, split, options) if split else held_out(source, options)
+    found = measure_into(subject, views, out, progress)
+    where = {"out": str(out)} if out is not None else {}
+    measured = {"split": views.split, "holdout": options.holdout, "downscale": options.downscale}
+    return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **found, **where}
+
+
+def measure_into(subject: Target, views: Dataset, out: Path | None, progress: Progress) -> Result:
+    """`Score.result` of all views; out: as for `evaluate`."""
     score = Score()
     if out is None:
         _measure(subject, views, score, None, progress)
@@ -72,9 +80,7 @@ def evaluate(
             sheet = _measure(subject, views, score, folder, progress)
             (folder / "contact.png").write_bytes(png_bytes(sheet))
             (folder / "views.json").write_bytes(json_bytes(score.views()))
-    where = {"out": str(out)} if out is not None else {}
-    measured = {"split": views.split, "holdout": options.holdout, "downscale": options.downscale}
-    return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **score.result(), **where}
+    return score.result()
 
 
 def held_out(path: Path, options: DatasetOptions) -> Dataset:
@@ -110,7 +116,7 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
             import jax  # noqa: F401  # evaluating a field compiles it
 
             from ..nerf.render import render_field
-        field = any_field(path)
+        field = open_field(path)
         known = trained(field.about)
         return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
     if kind in ("scene", "reference scene", "page"):
@@ -124,7 +130,7 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
 def ready_scene(path: Path, settings: MarchSettings) -> Scene:
     """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
     one that the settings ask for a network at every sample."""
-    snerg = any_scene(path)
+    snerg = open_scene(path)
     if settings.per_sample_network and snerg.network is None:
         raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
     acceleration_of(snerg)

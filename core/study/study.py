@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..artifact import Result, any_field, any_scene, kind_of
+from ..artifact import Result, kind_of, open_field, open_scene
 from ..baking.bake import BakeSettings
 from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import read_dataset
@@ -75,7 +75,7 @@ def study(
     deadline = time.monotonic() + 60 * settings.minutes
     kind = kind_of(source)
     notes: list[str] = []
-    opened = any_field(source) if kind in ("field", "checkpoint") else any_scene(source) if kind != "dataset" else None
+    opened = open_field(source) if kind in ("field", "checkpoint") else open_scene(source) if kind != "dataset" else None
     views, training = _views(source, opened, dataset, settings, notes)
     about = {
         "version": VERSION,
@@ -203,7 +203,7 @@ def _trained(source: Path, settings: StudySettings, out: Path, progress: Progres
 
 def _done(folder: Path, seconds: float) -> bool:
     """Whether a field was trained for so long."""
-    return is_field(folder) and any_field(folder).about.get("seconds", 0) >= seconds
+    return is_field(folder) and open_field(folder).about.get("seconds", 0) >= seconds
 
 
 def _plan(sweep: Sweep, usual: Config, subject: Subject) -> list[Step]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..artifact import any_field
+from ..artifact import open_field
 from ..baking.bake_field import bake_field
 from ..baking.fine_tune import RefineSettings, refine
 from ..data.dataset import Dataset
@@ -86,7 +86,7 @@ class Sweep:
     def field(self, name: str) -> Field:
         """A field by its name, read once."""
         if name not in self._fields:
-            self._fields[name] = any_field(self.subject.fields[name])
+            self._fields[name] = open_field(self.subject.fields[name])
         return self._fields[name]
 
     def survey(self, name: str) -> FieldProbe:

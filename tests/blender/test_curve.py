@@ -34,6 +34,7 @@ def test_the_curve_is_that_of_the_log(tmp_path):
     assert curve_of(tmp_path) is curve_of(tmp_path)  # read once
     assert curve_texts(read_curve(LINES[:1]))[0] == "20.0 dB on training rays"
     assert read_curve([]) == Curve()
+    assert curve_texts(Curve()) == ("", "")  # not '0 steps, 0:00 min'
 
 
 @pytest.mark.parametrize(("values", "bars"), [([], ""), ([1.0], ""), ([5.0, 5.0], "▁▁"), (list(range(8)), "▁▂▃▄▅▆▇█")])

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from snerg.core.artifact import any_scene
+from snerg.core.artifact import open_scene
 from snerg.core.baking.bake import BakeSettings
 from snerg.core.commands.bake import bake_scene
 from snerg.core.commands.bundle import bundle_scene
@@ -68,7 +68,7 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
     files = [path.name for path in (tmp_path / "auto-page").rglob("*")]
     assert not any(name.startswith("feature") for name in files) and any(name.startswith("rgba") for name in files)
     assert any(path.name.startswith("feature") for path in (tmp_path / "forced-page").rglob("*"))
-    assert any_scene(tmp_path / "auto-page").network is None
+    assert open_scene(tmp_path / "auto-page").network is None
     assert sizes["auto"] < sizes["forced"] * 2 / 3, sizes
     assert quality["auto"] > quality["forced"] - 0.1, quality
     assert seconds["auto"] < seconds["forced"], seconds
@@ -76,7 +76,7 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
 
 def frame_seconds(scene: Path, dataset: Path) -> float:
     """Of the quickest of some frames."""
-    snerg, camera = any_scene(scene), read_dataset(dataset, "test").cameras[0].resized(400, 400)
+    snerg, camera = open_scene(scene), read_dataset(dataset, "test").cameras[0].resized(400, 400)
     found = []
     for _ in range(6):
         began = time.perf_counter()
@@ -92,4 +92,4 @@ def test_a_mirror_like_scene_is_found_to_be_one(scene, tmp_path):
     bake_scene(tmp_path / "auto", tmp_path / "scene", BakeSettings(resolution=96))
     bundle_scene(tmp_path / "scene", tmp_path / "page")
     assert any(path.name.startswith("feature") for path in (tmp_path / "page").rglob("*"))
-    assert any_scene(tmp_path / "page").network is not None
+    assert open_scene(tmp_path / "page").network is not None

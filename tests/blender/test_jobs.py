@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -24,6 +25,7 @@ from snerg.snerg_addon import activity
 from snerg.snerg_addon.activity import Activity, Thought
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_there
+from snerg.snerg_addon.panels import draw_progress
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.render_job import render_job
 
@@ -103,6 +105,15 @@ def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
     until(lambda: not activity.current())
     assert activity.said(project.folder) == (f"Trained the field at 31.2 dB; it is in {project.field}", True)
     assert project.notes()["field"]["steps"] == 60
+
+
+def test_the_panel_shows_what_goes_on_together_with_the_notes():
+    job = Job([])
+    job.message, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
+    layout = MagicMock()
+    draw_progress(layout, Activity("field", "Training", job))
+    drawn = str(layout.mock_calls)
+    assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
 
 
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):

@@ -32,9 +32,9 @@ FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
 from snerg.core import cli
-from snerg.core.nerf import train
-from snerg.core.scene import kept
-train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
+from snerg.core.training import trainer as train
+from snerg.core.baking import resume as kept
+train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_SECONDS = -1.0, 1e9, -1.0
 class Keeper(train.Keeper):
     def __init__(self, trainer, folder, save_every):
         super().__init__(trainer, folder, 0.0)

@@ -18,7 +18,7 @@ def node(script: str) -> Any:
     """The JSON that a module script in the viewer's folder prints."""
     result = subprocess.run(
         ["node", "--input-type=module", "-e", script],
-        cwd=ROOT / "core" / "export" / "viewer" / "src",
+        cwd=ROOT / "viewer" / "src",
         capture_output=True,
         text=True,
         check=True,

@@ -24,7 +24,7 @@ TICK_SECONDS = 0.03
 SIDEBAR_MARGIN = 90  # pixels from the sidebar's left edge, where every row of a panel has its button
 TAB_MARGIN = 8  # pixels from its right edge, where the tabs are
 ROW = 12  # pixels, less than a button's height
-RayMarcher = Iterator[None]
+Walk = Iterator[None]
 
 
 class Window:
@@ -62,24 +62,24 @@ class Window:
         """One event at the pointer."""
         self.window.event_simulate(type=kind, value=value, x=self.pointer[0], y=self.pointer[1], **more)
 
-    def move(self, x: float, y: float) -> RayMarcher:
+    def move(self, x: float, y: float) -> Walk:
         """Move the pointer, in pixels of the window from its lower left corner."""
         self.pointer = (int(x), int(y))
         self.send("MOUSEMOVE", "NOTHING")
         yield
 
-    def over_view(self) -> RayMarcher:
+    def over_view(self) -> Walk:
         """The pointer over the 3D view, away from the sidebar and the scene's objects."""
         view = self.view
         yield from self.move(view.x + view.width // 3, view.y + view.height // 4)
 
-    def press(self, kind: str, **modifiers: bool) -> RayMarcher:
+    def press(self, kind: str, **modifiers: bool) -> Walk:
         """A key or mouse button, pressed and released."""
         self.send(kind, "PRESS", **modifiers)
         self.send(kind, "RELEASE", **modifiers)
         yield
 
-    def type(self, text: str) -> RayMarcher:
+    def type(self, text: str) -> Walk:
         """Letters and spaces, as a keyboard gives them."""
         for letter in text:
             kind = "SPACE" if letter == " " else letter.upper()
@@ -87,7 +87,7 @@ class Window:
             self.send(kind, "RELEASE")
             yield
 
-    def wait(self, seconds: float) -> RayMarcher:
+    def wait(self, seconds: float) -> Walk:
         """Let time pass."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
@@ -102,7 +102,7 @@ class Window:
             yield
         return True
 
-    def open_sidebar(self) -> RayMarcher:
+    def open_sidebar(self) -> Walk:
         """N, then a click on the tab. Raises AssertionError when there is no such tab."""
         yield from self.over_view()
         if self.sidebar.width <= 1:
@@ -118,7 +118,7 @@ class Window:
         assert sidebar.active_panel_category == "SNeRG", "The sidebar has no tab SNeRG"
         yield from self.wait(0.3)
 
-    def find(self, operator: str, from_right: int = 0) -> RayMarcher:
+    def find(self, operator: str, from_right: int = 0) -> Walk:
         """The pointer over a button of the sidebar. Raises AssertionError when it is not there.
 
         from_right: pixels from the sidebar's right edge to a button that does not begin at the left.
@@ -139,18 +139,18 @@ class Window:
             yield from self.scroll("WHEELDOWNMOUSE", 8)
         raise AssertionError(f"The sidebar has no button for {operator}")
 
-    def scroll(self, wheel: str, times: int) -> RayMarcher:
+    def scroll(self, wheel: str, times: int) -> Walk:
         """Turn the mouse's wheel."""
         for _ in range(times):
             self.send(wheel, "PRESS")
         yield from self.wait(0.3)
 
-    def click(self, operator: str, from_right: int = 0) -> RayMarcher:
+    def click(self, operator: str, from_right: int = 0) -> Walk:
         """Click a button of the sidebar."""
         yield from self.find(operator, from_right)
         yield from self.press("LEFTMOUSE")
 
-    def picture(self, name: str) -> RayMarcher:
+    def picture(self, name: str) -> Walk:
         """Keep what the window shows as FOLDER/NAME.png, without the button under the pointer lit up."""
         yield from self.over_view()
         yield from self.wait(0.4)
@@ -179,7 +179,7 @@ class Window:
         """The panel shows a bar of progress."""
         return any(text.startswith("progress:") for text in self.texts("main"))
 
-    def file(self, what: str, path: Path | None = None) -> RayMarcher:
+    def file(self, what: str, path: Path | None = None) -> Walk:
         """'save_as_mainfile', 'open_mainfile' or 'read_homefile': what the File menu does."""
         with bpy.context.temp_override(window=self.window):
             getattr(bpy.ops.wm, what)(**({"filepath": str(path)} if path else {}))

@@ -45,6 +45,12 @@ def test_a_job_is_stopped_by_its_button_and_leaves_the_status_bar(training, blen
     assert change.mean() < 1, "The status bar still tells of the job that ended; compare before.png and after.png"
 
 
+def test_the_panel_tells_of_the_end_before_the_next_event(training, blender):
+    untouched, touched = (picture(blender.folder("training") / f"{name}.png") for name in ("untouched", "touched"))
+    change = np.abs(untouched - touched).mean()
+    assert change < 0.2, f"The window was drawn again only when the pointer moved ({change:.2f}); compare untouched.png and touched.png"
+
+
 def picture(path):
     """[H, W] grey levels of a picture of the window."""
     with Image.open(path) as opened:
@@ -79,6 +85,7 @@ def test_the_search_finds_the_verbs(blender):
 def test_import_dataset_proposes_no_name_and_keeps_a_relative_path(blender, photos):
     seen = blender.walk("import_dialog", photos)
     assert seen["proposed"] == "", f"The file browser proposes {seen['proposed']!r}"
+    assert seen["shows"] == [True, True, "*.json;poses_bounds.npy"], "The file browser does not filter by what can be chosen"
     assert seen["dataset"].startswith("//") and says(seen["main"], "Next: train"), seen
     assert says(seen["wrong"], "nowhere"), f"No panel says what is wrong with the folder //nowhere: {seen['wrong']}"
 
@@ -95,3 +102,13 @@ def test_a_training_goes_on_when_blender_quits(blender, photos):
     assert left["started"]
     back = blender.walk_on("come_back", blender.folder("leave"))
     assert says(back["field"], rf"\b{steps} steps"), f"The training did not reach its {steps} steps: {back['field']}"
+
+
+def test_a_flat_box_starts_no_bake(blender, trained):
+    seen = blender.walk("flat_box", trained)
+    assert says(seen["box"], "x 0 m") and not seen["busy"] and says(seen["main"], "Next: bake"), f"See after.png: {seen}"
+
+
+def test_a_project_folder_that_cannot_be_written_starts_no_training(blender, photos):
+    seen = blender.walk("unwritable", photos, "/proc/nowhere")
+    assert not seen["busy"] and says(seen["main"], "Next: train"), f"See after.png: {seen}"

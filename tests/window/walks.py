@@ -6,12 +6,12 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 from __future__ import annotations
 
 import bpy
-from drive import RayMarcher, Window
+from drive import Walk, Window
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
 
 
-def sidebar(window: Window) -> RayMarcher:
+def sidebar(window: Window) -> Walk:
     """N, the tab, the buttons, and a click on one."""
     window.seen["closed"] = window.sidebar.width
     yield from window.open_sidebar()
@@ -23,7 +23,7 @@ def sidebar(window: Window) -> RayMarcher:
     yield from window.picture("box")
 
 
-def training(window: Window, photos: str) -> RayMarcher:
+def training(window: Window, photos: str) -> Walk:
     """Click Train; play the timeline and press Esc; another workspace and back; stop it there by the panel's button."""
     yield from begin(window, "artwork", photos)
     yield from window.picture("before")
@@ -45,13 +45,16 @@ def training(window: Window, photos: str) -> RayMarcher:
     yield from window.open_sidebar()
     yield from window.click("snerg.cancel", FROM_RIGHT)
     window.seen["stopped"] = yield from window.until(lambda: not window.busy(), 60)
+    yield from window.wait(2)
+    window.shoot("untouched")  # no event since: the panel must have been drawn again by itself
+    yield from window.picture("touched")
     yield from window.picture("elsewhere")
     yield from another_workspace(window, "PAGE_UP")
     yield from window.wait(1)
     yield from window.picture("after")
 
 
-def play_and_escape(window: Window) -> RayMarcher:
+def play_and_escape(window: Window) -> Walk:
     """Space plays the timeline, Esc ends that."""
     yield from window.over_view()
     yield from window.press("SPACE")
@@ -60,7 +63,7 @@ def play_and_escape(window: Window) -> RayMarcher:
     window.seen["ends"] = yield from window.until(lambda: not window.window.screen.is_animation_playing, 3)
 
 
-def another_workspace(window: Window, key: str) -> RayMarcher:
+def another_workspace(window: Window, key: str) -> Walk:
     """Ctrl-Page Down goes to the next one, Ctrl-Page Up back."""
     before = window.window.workspace.name
     yield from window.over_view()
@@ -68,7 +71,7 @@ def another_workspace(window: Window, key: str) -> RayMarcher:
     window.seen[key] = yield from window.until(lambda: window.window.workspace.name != before, 5)
 
 
-def box_deleted(window: Window) -> RayMarcher:
+def box_deleted(window: Window) -> Walk:
     """Add a box by its button, then delete it with X."""
     yield from window.open_sidebar()
     yield from window.click("snerg.add_box")
@@ -86,7 +89,7 @@ def box_deleted(window: Window) -> RayMarcher:
     yield from window.picture("deleted")
 
 
-def unsaved(window: Window) -> RayMarcher:
+def unsaved(window: Window) -> Walk:
     """Render a dataset in a file that was never saved, then save it."""
     quick(window, 24, 1)
     yield from window.open_sidebar()
@@ -112,7 +115,7 @@ def quick(window: Window, size: int, samples: int) -> None:
     scene.render.resolution_x = scene.render.resolution_y = size
 
 
-def second_file(window: Window, trained: str) -> RayMarcher:
+def second_file(window: Window, trained: str) -> Walk:
     """A project with a field; a second scene in its file; a second file beside it; and the first file again."""
     first = window.folder / "first.blend"
     yield from begin(window, "first")
@@ -133,7 +136,7 @@ def second_file(window: Window, trained: str) -> RayMarcher:
     window.seen["again"] = window.texts("main") + window.texts("field")
 
 
-def search(window: Window) -> RayMarcher:
+def search(window: Window) -> Walk:
     """F3, a few letters, Enter."""
     yield from window.over_view()
     yield from window.press("F3")
@@ -147,13 +150,14 @@ def search(window: Window) -> RayMarcher:
     yield from window.press("ESC")
 
 
-def import_dialog(window: Window, photos: str) -> RayMarcher:
+def import_dialog(window: Window, photos: str) -> Walk:
     """Import Dataset: what the file browser proposes, and what comes of a folder chosen there."""
     yield from begin(window, "artwork")
     yield from window.click("snerg.import_dataset")
     yield from window.until(lambda: browser(window) is not None, 10)
     parameters = browser(window).spaces.active.params
     window.seen["proposed"] = parameters.filename
+    window.seen["shows"] = [parameters.use_filter, parameters.use_filter_folder, parameters.filter_glob]
     parameters.directory, parameters.filename = photos.encode(), ""
     yield from window.wait(1)
     window.shoot("browser")
@@ -176,7 +180,7 @@ def browser(window: Window) -> object:
     return next((area for area in window.window.screen.areas if area.type == "FILE_BROWSER"), None)
 
 
-def rendering(window: Window) -> RayMarcher:
+def rendering(window: Window) -> Walk:
     """Render views that take seconds each, and see how long the window does not answer."""
     quick(window, 700, 200)
     window.settings.cameras = "ALL"
@@ -191,7 +195,7 @@ def rendering(window: Window) -> RayMarcher:
     yield from window.picture("rendered")
 
 
-def leave(window: Window, photos: str, steps: str) -> RayMarcher:
+def leave(window: Window, photos: str, steps: str) -> Walk:
     """Start a training and quit with Ctrl-Q, in a file that has no unsaved changes."""
     yield from begin(window, "artwork", photos)
     window.settings.steps = int(steps)
@@ -209,7 +213,7 @@ def leave(window: Window, photos: str, steps: str) -> RayMarcher:
     raise AssertionError("Blender did not quit")
 
 
-def come_back(window: Window) -> RayMarcher:
+def come_back(window: Window) -> Walk:
     """Open that file again."""
     yield from window.file("open_mainfile", window.folder / "artwork.blend")
     yield from window.open_sidebar()
@@ -221,7 +225,33 @@ def come_back(window: Window) -> RayMarcher:
     yield from window.picture("ended")
 
 
-def begin(window: Window, name: str, photos: str = "") -> RayMarcher:
+def flat_box(window: Window, trained: str) -> Walk:
+    """Bake in a box of zero thickness."""
+    yield from begin(window, "artwork")
+    window.operator("import_field", filepath=trained)
+    yield from window.click("snerg.add_box")
+    window.settings.box.scale.z = 0
+    yield from window.wait(0.5)
+    window.seen["box"], window.seen["bake_before"] = window.texts("box"), window.texts("bake")
+    yield from window.picture("flat")
+    yield from window.click("snerg.bake")
+    yield from window.wait(2)
+    window.seen["busy"], window.seen["main"] = window.busy(), window.texts("main")
+    yield from window.picture("after")
+
+
+def unwritable(window: Window, photos: str, folder: str) -> Walk:
+    """Train into a project folder that cannot be written."""
+    yield from begin(window, "artwork", photos)
+    window.settings.folder = folder
+    yield from window.wait(0.5)
+    yield from window.click("snerg.train")
+    yield from window.wait(2)
+    window.seen["busy"], window.seen["main"] = window.busy(), window.texts("main")
+    yield from window.picture("after")
+
+
+def begin(window: Window, name: str, photos: str = "") -> Walk:
     """A saved file with the sidebar open, which trains on `photos`."""
     yield from window.file("save_as_mainfile", window.folder / f"{name}.blend")
     if photos:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -270,13 +271,13 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
     return value
 
 
-def read_cameras(path: Path) -> tuple[Camera, ...]:
+def read_cameras(path: str | os.PathLike[str]) -> tuple[Camera, ...]:
     """Only the cameras of a transforms file, for rendering: its images need not exist where it gives sizes.
 
     Raises SnergError when the file has no frames, or gives no size for a camera.
     """
-    with reading(path, "write it again"):
-        return _read_cameras(path)
+    with reading(Path(path), "write it again"):
+        return _read_cameras(Path(path))
 
 
 def _read_cameras(path: Path) -> tuple[Camera, ...]:

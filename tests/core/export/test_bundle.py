@@ -12,6 +12,7 @@ from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.export import export_reference
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
+from snerg.core.export.reference import reference_files, write_reference
 from snerg.core.export.scene_files import codec_of, read_scene, scene_files, write_scene
 
 
@@ -103,6 +104,32 @@ def test_a_link_is_not_published(tmp_path, name):
         with pytest.raises(SnergError, match=f"{name} is a link"):
             write()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["scene_params.json", "atlas_indices.png", "rgba_000.png", "feature_001.png"])
+def test_a_link_in_the_reference_layout_is_not_published(tmp_path, name):
+    scene = tmp_path / "reference"
+    write_reference(make_snerg((34, 20, 20)), scene)
+    (scene / name).rename(tmp_path / "private")
+    (scene / name).symlink_to(tmp_path / "private")
+    for write in (
+        lambda: bundle_scene(scene, tmp_path / "out"),
+        lambda: bundle_scene(scene, tmp_path / "out", single_file=True),
+        lambda: export_reference(scene, tmp_path / "out"),
+    ):
+        with pytest.raises(SnergError, match=f"{name} is a link"):
+            write()
+    assert not (tmp_path / "out").exists()
+
+
+def test_only_what_the_reference_layout_names_is_published(tmp_path):
+    scene = tmp_path / "reference"
+    write_reference(make_snerg((34, 20, 20)), scene)
+    assert {path.name for path in reference_files(scene)} == {path.name for path in scene.iterdir()} - {".snerg"}
+    (tmp_path / "secret").write_text("secret")
+    (scene / "rgba_999.png").symlink_to(tmp_path / "secret")
+    bundle_scene(scene, tmp_path / "web")
+    assert not list((tmp_path / "web").rglob("rgba_999*"))
 
 
 def test_every_file_of_a_scene_is_named(tmp_path):

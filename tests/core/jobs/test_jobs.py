@@ -77,6 +77,16 @@ def test_result_and_progress_arrive():
     assert any(message.endswith("\u00e9") for _, message in said)
 
 
+def test_a_note_does_not_hide_what_goes_on():
+    said: list[str] = []
+    child = job(
+        "from snerg.core.progress import Note\nprogress(0.0, 'Compiling')\nprogress(0.0, Note('NDC: no.'))\ntime.sleep(1)\nreturn {}"
+    )
+    child.wait(lambda fraction, message: said.append(message))
+    assert child.message == "Compiling" and child.notes == ["NDC: no."]
+    assert said.count("NDC: no.") == 1 and said[-1] == "Compiling"
+
+
 def test_stray_prints_do_not_break_the_protocol(tmp_path):
     work = "print('{\"error\": \"not ours\"}'); os.system('echo banner'); sys.stderr.write('x' * 300000)\nreturn {'fine': True}"
     child = Job([sys.executable, "-c", "print('a banner, and [')\n" + source(work)])

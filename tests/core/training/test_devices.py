@@ -47,8 +47,8 @@ if job["processes"] > 1:
     from snerg.core.training.devices import connect
     connect(job["coordinator"], job["processes"], job["process"])
 import jax, numpy as np
-from snerg.core.data.dataset import read_dataset
-from snerg.core.nerf import train
+from snerg.core.data.load import read_dataset
+from snerg.core.training import trainer as train
 losses = []
 advance = train.Trainer.advance
 def logged(self, *more):

@@ -213,8 +213,8 @@ def test_nothing_that_is_not_finite_is_written(trained, tmp_path):
 RUN_AND_SAVE_EACH_STEP = """
 import pickle, sys
 from pathlib import Path
-from snerg.core.data.dataset import read_dataset
-from snerg.core.nerf import train, trial
+from snerg.core.data.load import read_dataset
+from snerg.core.training import trainer as train, view_dependence_test
 from snerg.core.nerf.checkpoint import is_field
 train.TELL_EVERY, train.SAVE_SHARE, view_dependence_test.LEAST = 0.0, 1e9, 2
 dataset, folder, settings = sys.argv[1:]
