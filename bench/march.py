@@ -18,7 +18,7 @@ from common import ROOT
 from naive_march import naive_march
 
 from snerg.core.geometry.camera import Camera
-from snerg.core.rendering import ray_marcher
+from snerg.core.rendering import interpolator, ray_marcher
 from snerg.core.rendering.acceleration import acceleration_of
 from snerg.core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
@@ -149,7 +149,7 @@ def gathering(scene: Scene, camera: Camera, size: int) -> dict[str, Any]:
     with interpolated() as calls:
         render_scene(scene, view, ALONE)
     reader = ray_marcher.Interpolator(tables)
-    spare = np.empty((ray_marcher.MAX_INTERPOLATED, *tables.voxels.shape[1:]), tables.voxels.dtype)
+    spare = np.empty((interpolator.MAX_INTERPOLATED, *tables.voxels.shape[1:]), tables.voxels.dtype)
 
     def read(calls: list[np.ndarray]) -> None:
         for first in calls:
@@ -159,8 +159,8 @@ def gathering(scene: Scene, camera: Camera, size: int) -> dict[str, Any]:
     samples = sum(len(first) for first in calls)
     rng = np.random.default_rng(0)
     anywhere = rng.integers(
-        0, len(reader.corners[-1]), max(1, RANDOM // 8 // ray_marcher.MAX_INTERPOLATED) * ray_marcher.MAX_INTERPOLATED
-    ).reshape(-1, ray_marcher.MAX_INTERPOLATED)
+        0, len(reader.corners[-1]), max(1, RANDOM // 8 // interpolator.MAX_INTERPOLATED) * interpolator.MAX_INTERPOLATED
+    ).reshape(-1, interpolator.MAX_INTERPOLATED)
     return {
         "pixels": size,
         "rays": view.width * view.height,

@@ -13,8 +13,9 @@ from ..geometry.ndc import space_rays
 from ..nerf.field import Field
 from ..nerf.frame import Composited, shade
 from ..nerf.render import through_space
+from ..rendering.opacity import correct_opacity
 from ..rendering.packet_traversal import intersect_grid
-from ..rendering.render import correct_opacity, march_rays
+from ..rendering.render import march_rays
 from ..scene.scene import Scene
 
 MAX_CAMERAS = 8  # looked from, spread over all

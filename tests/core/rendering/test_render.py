@@ -15,7 +15,8 @@ from snerg.core.nerf.frame import Composited
 from snerg.core.nerf.model import ViewNetwork, view_residual
 from snerg.core.rendering.acceleration import acceleration_of, chebyshev_distance
 from snerg.core.rendering.early_termination import premultiplied_excess, residual_bound, stop_transmittance_for
-from snerg.core.rendering.render import MarchSettings, correct_opacity, march_rays, render_progressively, render_scene, tiled_pixels
+from snerg.core.rendering.opacity import correct_opacity
+from snerg.core.rendering.render import MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
 
 ANGLES = (0.4, -0.3, 0.8)
@@ -94,13 +95,13 @@ def test_a_ray_does_not_depend_on_its_batch():
     whole, split = render_scene(scene, camera), render_scene(scene, camera, MarchSettings(batch=37, threads=1))
     assert np.array_equal(whole.colour, split.colour)
     assert np.array_equal(whole.alpha, split.alpha)
-    handed = render_scene(scene, camera, MarchSettings(batch=37, threads=3))
-    assert np.array_equal(whole.colour, handed.colour) and np.array_equal(whole.depth, handed.depth)
+    donated = render_scene(scene, camera, MarchSettings(batch=37, threads=3))
+    assert np.array_equal(whole.colour, donated.colour) and np.array_equal(whole.depth, donated.depth)
 
 
 @pytest.mark.hard_case(35)
 def test_many_rays_are_what_their_parts_are():
-    """More than are made at a time, and than one walk takes; and the samples of all are counted."""
+    """More rays than a thread clips at once and marches together; the samples of all are counted."""
     scene = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
     camera = make_cameras(CENTRE)[0].resized(240, 200)
     rays = camera.rays(tiled_pixels(240, 200))
@@ -149,7 +150,7 @@ def test_a_slab_is_as_thick_as_it_is_in_the_world():
 
 
 @pytest.mark.hard_case(53)
-def test_filling_holes_is_finite_continuous_and_at_most_opaque():
+def test_opacity_correction_is_finite_continuous_and_at_most_opaque():
     alpha = np.concatenate([[0.0, 1e-30], np.linspace(1e-6, 1, 3001)]).astype(np.float32)
     colour = np.stack([alpha, 0.5 * alpha, 0 * alpha], axis=-1)
     with np.errstate(all="raise", under="ignore"):
@@ -263,7 +264,7 @@ def test_tolerance_follows_the_scene():
 
 
 @pytest.mark.parametrize("network", range(5))
-def test_no_network_is_steeper_than_its_bound(network):
+def test_the_residual_changes_by_at_most_its_bound(network):
     draw = np.random.default_rng(network)
     weights = random_network(network)
     for low, high in ((np.array([-1.0] * 3 + [0.0] * 4), np.array([0.0] * 3 + [1.0] * 4)), (-np.ones(7), np.ones(7))):
@@ -306,8 +307,8 @@ def test_every_pixel_is_in_a_tile():
         assert all(np.ptp(tile, axis=0).max() < 8 for tile in pixels.reshape(-1, 64, 2))
 
 
-def test_bundles_that_nothing_holds_together_are_marched_as_well():
-    """Rays in any order: those of a bundle may have nothing in common."""
+def test_packets_of_incoherent_rays_are_marched_as_well():
+    """Rays in random order: those of a packet are far apart."""
     scene = make_snerg(angles=ANGLES, centre=CENTRE)
     origins, directions = (np.concatenate(both) for both in zip(*(c.rays() for c in small_cameras()), strict=True))
     order = np.random.default_rng(0).permutation(len(origins))[:3001]
