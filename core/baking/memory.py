@@ -58,7 +58,7 @@ def occupied_points(field: Field, box: Box) -> tuple[NDArray[Any], float]:
     found = []
     for x in range(voxel_grid.shape[0]):  # a slice at a time
         plane = np.stack(np.meshgrid(x, *(np.arange(n) for n in voxel_grid.shape[1:]), indexing="ij"), axis=-1).reshape(-1, 3)
-        points = voxel_grid.points(plane)
+        points = voxel_grid.voxel_centres(plane)
         points = points[field.holds(field.domain.from_world(points))]
         if len(points):
             depth = optical_depth(np, field.query(points)[0], np.float32(voxel_grid.voxel_size))

@@ -91,7 +91,7 @@ def block_optical_depth(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any
     depth = np.zeros((len(places), DATA_VOXELS**3), np.float32)
     held, points = [], []
     for place in places:  # a block's points fit the caches
-        centres = voxel_grid.centres(place[None])
+        centres = voxel_grid.block_centres(place[None])
         held.append(np.flatnonzero(field.holds(field.domain.from_world(centres))))
         points.append(centres[held[-1]])
     together = np.concatenate(points)
@@ -100,7 +100,7 @@ def block_optical_depth(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any
     for row, end in enumerate(ends):
         depth[row, held[row]] = found[end - len(held[row]) : end]
     blocks = depth.reshape(-1, *(DATA_VOXELS,) * 3)
-    voxel_grid.clear_outside(blocks, places)
+    voxel_grid.zero_outside(blocks, places)
     return blocks
 
 

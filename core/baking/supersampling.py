@@ -69,7 +69,7 @@ def field_along(field: Field, voxel_grid: VoxelGrid, start: NDArray[Any], direct
     """Premultiplied RGB [N, K, 3] and opacity [N, K] of the field along rays in voxel coordinates, FINER to a voxel."""
     along = (np.arange(TEST_RAY_VOXELS * REFERENCE_SAMPLES_PER_VOXEL) + 0.5) / REFERENCE_SAMPLES_PER_VOXEL
     points = start[:, None] + direction[:, None] * along[:, None]
-    density, rgb, _ = field.query(voxel_grid.points(points.reshape(-1, 3)))
+    density, rgb, _ = field.query(voxel_grid.voxel_centres(points.reshape(-1, 3)))
     alpha = opacity(np, optical_depth(np, density, np.float32(voxel_grid.voxel_size / REFERENCE_SAMPLES_PER_VOXEL)))
     return (rgb * alpha[:, None]).reshape(*points.shape), alpha.reshape(points.shape[:2])
 
@@ -112,7 +112,7 @@ def average_in_voxels(
     colour: Any = 0.0
     total = np.zeros(len(voxels), np.float32)
     for offset in signed:
-        density, rgb, features = field.query(voxel_grid.points(voxels + offset))
+        density, rgb, features = field.query(voxel_grid.voxel_centres(voxels + offset))
         alpha = opacity(np, optical_depth(np, density, np.float32(voxel_grid.voxel_size)))
         colour = colour + np.concatenate([rgb, features], axis=-1) * alpha[:, None]
         total += alpha

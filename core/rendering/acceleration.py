@@ -144,7 +144,7 @@ def _dilate_stencils(bits: NDArray[Any], distance: int) -> NDArray[Any]:
 
 
 def chebyshev_distance(occupied: NDArray[Any], limit: int) -> NDArray[Any]:
-    """Distance of each element to the nearest True in the maximum norm: uint8, of the shape of `occupied`, at most `limit` (and 255)."""
+    """Distance of each element to the nearest True in the maximum norm, at most `limit` and 255: uint8 [X, Y, Z] of bool [X, Y, Z]."""
     if not occupied.any():
         return np.full(occupied.shape, min(limit, 255), np.uint8)
     distance = np.where(occupied, 0, 1).astype(np.uint8)

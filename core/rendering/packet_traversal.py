@@ -63,7 +63,8 @@ def start_batch(
 ) -> RayBatch:
     """The rays of `intersect_grid` that may hit an occupied voxel, each at its first relevant sample.
 
-    skip: traverse empty space first; without, every ray that enters the grid starts there. first_index: number of the first ray.
+    entry, direction: [3, N]; start, stop: [N] (see `intersect_grid`). skip: traverse empty space first; otherwise every ray starts where it
+    enters the grid. first_index: number of the first ray.
     """
     t_end = np.ceil(stop - start - 0.5).astype(np.float32)
     hits = t_end > 0

@@ -40,7 +40,7 @@ class RayBatch:
 
     @classmethod
     def unmarched(cls, index: NDArray[Any], state: NDArray[Any], channels: int) -> RayBatch:
-        """Rays without any sample yet: transmittance 1, values 0."""
+        """Rays with numbers [N] and state [8, N] of which no sample is taken yet: transmittance 1, values 0."""
         return cls(index, state, np.ones(len(index), np.float32), np.zeros((len(index), channels), np.float32))
 
     @classmethod

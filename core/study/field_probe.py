@@ -262,7 +262,7 @@ def timed(field: Field, voxel_grid: VoxelGrid, points: NDArray[Any], start: floa
         lambda some: cull_faint(block_optical_depth(field, voxel_grid, some), 0.005),
         np.array_split(places, max(1, len(places) // BLOCKS_PER_CHUNK)),
     )
-    held = sum(int(field.holds(field.domain.from_world(voxel_grid.centres(place[None]))).sum()) for place in places)
+    held = sum(int(field.holds(field.domain.from_world(voxel_grid.block_centres(place[None]))).sum()) for place in places)
     test = max(tested - query * held, 0.2 * tested) / max(len(places) * DATA_VOXELS**3, 1)
     corner = np.floor((points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size).astype(
         np.int64

@@ -55,7 +55,7 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
 def test_lattice_covers_the_box_and_a_voxel_more():
     voxel_grid = VoxelGrid.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
     assert voxel_grid.shape == (66, 34, 18)
-    assert np.allclose(voxel_grid.points(np.array([[1, 1, 1]]) - 0.5), 0)
+    assert np.allclose(voxel_grid.voxel_centres(np.array([[1, 1, 1]]) - 0.5), 0)
 
 
 @pytest.mark.hard_case(6, 39)
@@ -133,7 +133,7 @@ def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
     voxel_grid = VoxelGrid.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
     domain = Domain.around(centre - 2, centre + 2)
     voxels = np.random.default_rng(0).integers(0, voxel_grid.shape, (1000, 3))
-    found = domain.from_world(voxel_grid.points(voxels))
+    found = domain.from_world(voxel_grid.voxel_centres(voxels))
     assert found.dtype == np.float32
     exact = ((voxels + 0.5 - np.array(voxel_grid.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
     assert np.abs(found - exact).max() < 1e-3 * (2 / 4096) / 2
