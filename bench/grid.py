@@ -167,7 +167,7 @@ def scaling_part(setup: Setup) -> dict[str, Any]:
     rays, samples = marching.growing(setup.scene, setup.views.cameras[0], setup.size)
     source, blocks = read_field(setup.field), []
     for turn, share in enumerate((0.2, 0.2, 0.3, 0.4, 0.5, 0.6)):  # the first one compiles
-        settings = BakeSettings(max(2, round(share * setup.resolution)), samples=1)
+        settings = BakeSettings(max(2, round(share * setup.resolution)), supersampling=1)
         began = time.perf_counter()
         baked = bake(source, source.domain.world_box(), source.cameras, settings)
         if turn:

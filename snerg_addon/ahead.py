@@ -48,7 +48,7 @@ def texts(context: bpy.types.Context) -> list[str]:
     settings, box = context.scene.snerg, box_of(context.scene)
     try:
         volume = box_from_blender(box) if box and survey.field.ndc is None else survey.field.domain.world_box()
-        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, samples=settings.samples)
+        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
         return _lines(survey, volume, wanted, settings.refine, resolution(context.scene))
     except SnergError as error:
         return [str(error)]

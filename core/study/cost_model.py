@@ -101,7 +101,7 @@ def estimate(
     ray = rates.ray * slower(rates.met, rates.growth, finer)
     coded = kept * rates.bytes * finer**-ALIKE * channels / (8 if field.network is not None else 4)
     looked = volume * int((survey.inside & inside).sum())
-    samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / voxel_grid.voxel_size)).argmin())]
+    samples = settings.supersampling or survey.samples[int(np.abs(np.log(survey.voxels / voxel_grid.voxel_size)).argmin())]
     seconds = _seconds(survey, voxel_grid, settings, looked, kept, samples)
     if refine and channels == 8 and field.dataset:
         seconds["refine"] = FIT + rates.view * len(field.cameras) + ray * REFINED
@@ -136,7 +136,7 @@ def _seconds(
     rates = survey.rates
     tried = (
         TEST_RAYS * TEST_RAY_VOXELS * (REFERENCE_SAMPLES_PER_VOXEL + 8 * (min(4 * samples, 2 * MAX_SUPERSAMPLING) - 1))
-        if settings.samples == AUTO_SUPERSAMPLING
+        if settings.supersampling == AUTO_SUPERSAMPLING
         else 0
     )
     return {

@@ -247,7 +247,7 @@ def small_resolution(field: Field) -> int:
 
 def pilot(field: Field, box: Box, resolution: int) -> Scene:
     """A small bake, seen by a few of the cameras; what equation 9 would change in it is not looked at."""
-    settings = BakeSettings(resolution=resolution, samples=1, opacity_correction=False)
+    settings = BakeSettings(resolution=resolution, supersampling=1, opacity_correction=False)
     return bake(field, box, field.cameras[:: max(1, len(field.cameras) // 4)], settings)
 
 
