@@ -1,7 +1,7 @@
-"""Run SNeRG's command line in a Python of its own: `python launcher.py VERB ARG...`.
+"""Run SNeRG's command line in a new Python process: `python launcher.py COMMAND ARGUMENT...`.
 
-Blender's Python knows neither this folder (an extension is loaded as bl_ext.<repository>.<id>) nor where the
-extension's wheels were unpacked, so the parent hands over its import path in SNERG_IMPORT_PATH (JSON list).
+That process can import neither this folder (an extension is loaded as bl_ext.<repository>.<id>) nor the extension's wheels, so the
+parent passes its import path in the variable SNERG_IMPORT_PATH (a JSON list).
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import sys
 from pathlib import Path
 
 IMPORT_PATH = "SNERG_IMPORT_PATH"
-RENDER = "--render-job"  # in place of a verb, by which Blender renders a dataset (snerg_addon/render_job.py)
-JOB = "SNERG_JOB"  # set where this process is a job, which first waits for its turn
+RENDER = "--render-job"  # in place of a command: Blender renders a dataset (snerg_addon/render_job.py)
+JOB = "SNERG_JOB"  # the folder of the job that this process runs (core/jobs/folder.py); a job first waits for its turn
 
 
 def load(root: Path, name: str = "snerg") -> None:
-    """Make the folder `root` importable as the package `name`, wherever it lies and whatever it is called."""
+    """Make the folder `root` importable as the package `name`, whatever its path."""
     spec = importlib.util.spec_from_file_location(name, root / "__init__.py", submodule_search_locations=[str(root)])
     if spec is None or spec.loader is None:
         raise ImportError(f"{root} is not a Python package")
@@ -29,8 +29,8 @@ def load(root: Path, name: str = "snerg") -> None:
 
 
 def main() -> int:
-    """The command line's exit code."""
-    own = str(Path(__file__).parent)  # Python puts the script's folder first, where core/ and operators/ are no top-level packages
+    """Run the command and return the exit code."""
+    own = str(Path(__file__).parent)  # Python puts the script's folder first, but core/ and operators/ are no top-level packages
     sys.path[:] = [entry for entry in sys.path if entry != own]
     for entry in json.loads(os.environ.get(IMPORT_PATH, "[]")):
         if entry not in sys.path and entry != own:

@@ -29,13 +29,14 @@ from .commands.info import info
 from .commands.render import render_views
 from .commands.train import settings_of, train_field
 from .data.dataset import DatasetOptions
-from .errors import EXIT_ERROR, EXIT_STOPPED, Cancelled, SnergError, clean, needs_jax, printable
+from .errors import EXIT_ERROR, EXIT_STOPPED, SnergError, clean, needs_jax, printable
 from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from .export.scene_files import PNG
 from .jobs import interrupt
 from .jobs.protocol import run_job
+from .jobs.task import Outcome
 from .nerf.model import VIEWS
-from .progress import Note, Progress
+from .progress import Progress, ProgressEvent
 from .rendering.render import MarchSettings
 from .study.evaluate import evaluate
 from .study.pareto import Target
@@ -69,12 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result = stoppable(work, terminal)
         terminal.end()
         write_result(json.dumps(result, allow_nan=False) if options.json else options.show(result))
-    except SnergError as error:
-        terminal.last(f"snerg: {error}")
-        return EXIT_STOPPED if isinstance(error, Cancelled) else EXIT_ERROR
-    except MemoryError:
-        terminal.last("snerg: There was not enough memory; lower the resolution or close other programs, then run it again.")
-        return EXIT_ERROR
+    except (SnergError, MemoryError) as error:
+        outcome = Outcome.of_error(error)
+        terminal.last(f"snerg: {outcome.error}")
+        return EXIT_STOPPED if outcome.state == "cancelled" else EXIT_ERROR
     return 0
 
 
@@ -416,7 +415,7 @@ def assignment(text: str) -> tuple[str, str]:
 
 
 class Terminal:
-    """Progress for people: one line written over on a terminal, else a line every few seconds. Notes stay (see progress.Note)."""
+    """Progress for people: one line written over on a terminal, else a line every few seconds. Sticky texts stay."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
@@ -426,8 +425,9 @@ class Terminal:
 
     def __call__(self, fraction: float, message: str, /) -> None:
         """Show where the work is."""
-        if isinstance(message, Note):
-            self.write(f"\r\x1b[K{clean(message)}\n" if self.over else f"{clean(message)}\n")
+        event = ProgressEvent.of(fraction, message)
+        if event.sticky:
+            self.write(f"\r\x1b[K{clean(event.text)}\n" if self.over else f"{clean(event.text)}\n")
             return
         now = time.monotonic()
         if now - self.told < (0.1 if self.over else EVERY_SECONDS):

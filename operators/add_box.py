@@ -1,4 +1,4 @@
-"""The box that the artist drags."""
+"""Add a box round the selection."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from ..core.geometry.box import Box
 from ..snerg_addon.bridge import add_box
 from ..snerg_addon.capture import evaluated
 
-MARGIN = 1.05
+MARGIN = 1.05  # size of the box over that of the objects, so that their surfaces lie inside
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "CURVES", "POINTCLOUD"}
 
 
 class SNERG_OT_add_box(bpy.types.Operator):
-    """Add the box to bake, fitted round the selected objects, or round everything that renders when none is selected"""
+    """Add the box to bake. It fits the selected objects, or all objects that render if none is selected"""
 
     bl_idname = "snerg.add_box"
     bl_label = "Add Box"
@@ -22,14 +22,14 @@ class SNERG_OT_add_box(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """An object can only be added in Object mode."""
+        """Whether Blender is in Object Mode."""
         if context.mode != "OBJECT":
-            cls.poll_message_set("Return to Object Mode first")
+            cls.poll_message_set("Switch to Object Mode first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make the empty, choose it, and make it the scene's box."""
+        """Add the empty, select it, and make it the scene's box."""
         empty = add_box(fitted_box(context), context.scene)
         for thing in context.selected_objects:
             thing.select_set(False)
@@ -39,7 +39,7 @@ class SNERG_OT_add_box(bpy.types.Operator):
 
 
 def fitted_box(context: bpy.types.Context) -> Box:
-    """Round the selected solid objects, else round all that render, else one of 2 units at the 3D cursor."""
+    """A box round the selected objects with volume or surface, else round all that render, else 2 units wide at the 3D cursor."""
     solid = [thing for thing in context.scene.objects if thing.type in SOLID and not thing.hide_render]
     chosen = [thing for thing in solid if thing.select_get()] or solid
     if not chosen:
@@ -53,6 +53,6 @@ def fitted_box(context: bpy.types.Context) -> Box:
 
 
 def bound_corners(thing: bpy.types.Object) -> np.ndarray:
-    """[8, 3] world positions of an evaluated object's bounding box."""
+    """The corners [8, 3] of an evaluated object's bounding box, in world space."""
     matrix = np.array(thing.matrix_world, np.float64)
     return np.array([list(corner) for corner in thing.bound_box], np.float64) @ matrix[:3, :3].T + matrix[:3, 3]

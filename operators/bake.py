@@ -1,4 +1,4 @@
-"""Field and box to baked scene."""
+"""Bake the field inside the box."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import Any
 import bpy
 
 from ..core.io.files import json_bytes, write_bytes
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb, awaited
+from .task_operator import TaskOperator, awaited
 
 
-class SNERG_OT_bake(LongVerb, bpy.types.Operator):
-    """Bake the field inside the box into a sparse grid that renders in real time, in a process of its own"""
+class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
+    """Bake the field inside the box into a sparse voxel grid that renders in real time, in the background"""
 
     bl_idname = "snerg.bake"
     bl_label = "Bake"
@@ -24,16 +24,16 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
     step, label = "bake", "Baking"
     needs = "field"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`bake` of the command line, with the box as it stands now; without one, the box that the field was trained in."""
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `bake` with the current box; without a box, with the one that the field was trained in."""
         field, arguments = awaited(project, "field") or project.field, baking_arguments(context, project)
         out = project.new_version("scene")
-        said = [part for part in arguments if part not in ("--box", str(project.box))]
-        project.note_settings(out, ["--field", project.name_of(field), *said])
-        return start_verb(["bake", str(field), "--out", str(out), *arguments])
+        recorded = [part for part in arguments if part not in ("--box", str(project.box))]
+        project.note_settings(out, ["--field", project.name_of(field), *recorded])
+        return start_command(["bake", str(field), "--out", str(out), *arguments])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to, and warn of a box that turned out to hold nothing."""
+        """Record the new version and put it in use. Warns where the box holds nothing."""
         about = result.get("about", {})
         quality = about.get("refine", {}).get("psnr_after")
         folder = project.version_made("scene", result["path"])
@@ -44,7 +44,7 @@ class SNERG_OT_bake(LongVerb, bpy.types.Operator):
 
 
 def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:
-    """How the panel says to bake, for the command line; the box as it stands now is written to the project."""
+    """The command-line options for the panel's settings. Writes the current box to the project."""
     settings = context.scene.snerg
     arguments = ["--voxel-size", str(settings.voxel_size)] if settings.voxel_size else ["--resolution", str(settings.resolution)]
     arguments += ["--samples", str(settings.samples)]
@@ -55,9 +55,9 @@ def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:
 
 
 def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:
-    """The box as it stands now, as JSON; None where none is chosen.
+    """The current box as JSON; None where none is chosen.
 
-    A forward-facing field is baked whole: its grid lies in device coordinates, where no box of the scene's is a box.
+    Also None for a forward-facing field, which is baked whole: its grid lies in NDC, where a box of the scene is no box.
     """
     box = box_of(context.scene)
     if box is None or project.notes().get("field", {}).get("ndc"):

@@ -1,4 +1,4 @@
-"""What a bake will take, before it is begun."""
+"""Estimate a bake."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
-from ..snerg_addon.ahead import told
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.bridge import resolution
+from ..snerg_addon.estimate_panel import summary
 from ..snerg_addon.project import Project
 from .bake import baking_arguments
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_estimate(LongVerb, bpy.types.Operator):
-    """Look at the field once, to say what a bake, its files and a preview will take; from then on at once, as the box is dragged"""
+class SNERG_OT_estimate(TaskOperator, bpy.types.Operator):
+    """Measure the field to estimate the time, memory and file size of a bake. Afterwards the estimate follows the box and the settings"""
 
     bl_idname = "snerg.estimate"
     bl_label = "Estimate"
     bl_options = {"REGISTER"}
-    step, label = "bake", "Looking at the field"
+    step, label = "bake", "Measuring the field"
     needs = "field"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`estimate` of the command line, whose look at the field stays in the project for the panel."""
-        with suppress(OSError):  # where it cannot be removed, the old look serves
-            project.survey.unlink()  # the machine may have been busy when it was made
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `estimate`, whose field probe stays in the project for the panel."""
+        with suppress(OSError):  # the old probe is used where it cannot be deleted
+            project.survey.unlink()  # deleted, because the machine may have been busy when its times were measured
         width, height = resolution(context.scene)
         size = ["--width", str(width), "--height", str(height), "--survey", str(project.survey)]
-        return start_verb(["estimate", str(project.field), *size, *baking_arguments(context, project)])
+        return start_command(["estimate", str(project.field), *size, *baking_arguments(context, project)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Say it; the panel goes on from what was found."""
-        return "A bake takes " + ", ".join(told(result))
+        """Report the estimate; from now on the panel updates it."""
+        return "A bake takes " + ", ".join(summary(result))

@@ -1,4 +1,4 @@
-"""Baked scene to the reference PNG layout."""
+"""Export the baked scene in the PNG layout of the reference implementation."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
-    """Write the baked scene in the PNG layout of the published SNeRG code, which its own viewer opens"""
+class SNERG_OT_export_scene(TaskOperator, bpy.types.Operator):
+    """Export the baked scene as PNG files for the viewer of the published SNeRG code"""
 
     bl_idname = "snerg.export_scene"
     bl_label = "Export Scene"
@@ -21,11 +21,11 @@ class SNERG_OT_export_scene(LongVerb, bpy.types.Operator):
     step, label = "export", "Exporting the scene"
     needs = "scene"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`export` of the command line."""
-        return start_verb(["export", str(project.scene), "--out", str(project.reference)])
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `export`."""
+        return start_command(["export", str(project.scene), "--out", str(project.reference)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
+        """Record the export."""
         remember(project, "reference", project.reference, result)
         return f"Exported the scene to {project.reference}"

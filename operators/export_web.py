@@ -1,4 +1,4 @@
-"""Baked scene to web page."""
+"""Export the baked scene as a web page."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.transforms import write_transforms
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import LOSSY
-from .job_runner import LongVerb
 from .render_dataset import scene_cameras
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
-    """Write a web page that shows the baked scene in any browser, with the scene's cameras to jump to"""
+class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
+    """Export a web page that shows the baked scene in a browser, with the scene's cameras as viewpoints"""
 
     bl_idname = "snerg.export_web"
     bl_label = "Export Web Page"
@@ -25,11 +25,11 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
     step, label = "export", "Exporting the web page"
     needs = "scene"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`bundle` of the command line, with the cameras as they stand now."""
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `bundle` with the current cameras."""
         settings = context.scene.snerg
         arguments = ["bundle", str(project.scene), "--out", str(project.web)]
-        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs none
+        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs no camera
             cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
             write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
             arguments += ["--cameras", str(project.cameras)]
@@ -37,9 +37,9 @@ class SNERG_OT_export_web(LongVerb, bpy.types.Operator):
             arguments += ["--codec", settings.codec]
         if settings.codec in LOSSY:
             arguments += ["--quality", str(settings.quality)]
-        return start_verb([*arguments, "--single-file"] if settings.single_file else arguments)
+        return start_command([*arguments, "--single-file"] if settings.single_file else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
+        """Record the export."""
         remember(project, "web", project.web, result)
         return f"Exported the web page to {project.web}"

@@ -1,9 +1,8 @@
-"""Somebody's capture to cameras, points and a box in the scene."""
+"""Import photographs with their cameras."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,43 +12,44 @@ import numpy as np
 from ..core.data.dataset import Dataset, DatasetOptions, View
 from ..core.data.load import read_dataset
 from ..core.geometry.camera import Camera
-from ..snerg_addon.activity import Thought, Work
+from ..core.jobs.task import Task, ThreadTask
+from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
-from ..snerg_addon.owner import shown
+from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project
-from .import_verb import ImportVerb
+from .import_operator import ImportOperator
 
-SHOWN = 0.05  # a camera's size in the viewport, as a part of how far it stands from the middle
+DISPLAY_SIZE = 0.05  # size of a camera in the viewport, as a fraction of its distance from the box's centre
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
-class SNERG_OT_import_dataset(ImportVerb, bpy.types.Operator):
-    """Open photographs with their cameras (transforms.json, LLFF or COLMAP): each camera with its picture behind it, and the box"""
+class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
+    """Import photographs with their cameras (transforms.json, LLFF or COLMAP). Adds the cameras with background images, and the box"""
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
-    key, what = "dataset", "dataset"
+    key, noun = "dataset", "dataset"
     accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """Read in a thread; the scene is touched only at the end, all at once, so that one undo takes it back."""
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """Read the dataset in a thread. Only `finish` changes the scene, so that one undo removes it all."""
         path, settings = self.path(), context.scene.snerg
         options = DatasetOptions(settings.test_every, settings.downscale)
-        return Thought(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
+        return ThreadTask(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Put it into the scene, and make it the dataset to train on."""
+        """Add the cameras, the points and the box to the scene, and make the dataset the one to train on."""
         parts: list[Dataset] = result["parts"]
         add_dataset(parts, scene, result["path"].stem)
-        scene.snerg.dataset = shown(result["path"])
+        scene.snerg.dataset = blend_path(result["path"])
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
-        return " ".join([f"Imported {views} from {result['path']}.", *shortcomings([v.camera for p in parts for v in p.views])])
+        return " ".join([f"Imported {views} from {result['path']}.", *limitations([v.camera for p in parts for v in p.views])])
 
 
-def read_splits(path: Path, options: DatasetOptions, progress: Callable[[float, str], None]) -> list[Dataset]:
-    """Every split of a dataset, the training views first. Raises SnergError when one cannot be read."""
+def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> list[Dataset]:
+    """Every split of a dataset, the training views first. Raises SnergError where one cannot be read."""
     progress(0.0, "Reading the training views")
     parts = [read_dataset(path, "train", options)]
     names = [name for name in parts[0].splits() if name != "train"]
@@ -60,10 +60,10 @@ def read_splits(path: Path, options: DatasetOptions, progress: Callable[[float, 
 
 
 def add_dataset(parts: list[Dataset], scene: bpy.types.Scene, name: str) -> None:
-    """A collection with the cameras of each split, and the points; the box; the scene takes the commonest picture's size."""
+    """Add a collection with the cameras of each split and the points, and the box. The scene takes the most common resolution."""
     first, top = parts[0], bpy.data.collections.new(name)
     scene.collection.children.link(top)
-    set_picture(scene, commonest([view.camera for part in parts for view in part.views]))
+    set_picture(scene, most_common([view.camera for part in parts for view in part.views]))
     box = first.suggested_box()
     middle = box.box_to_world[:3, 3]
     for part in parts:
@@ -78,35 +78,35 @@ def add_dataset(parts: list[Dataset], scene: bpy.types.Scene, name: str) -> None
 
 
 def add_view(view: View, collection: bpy.types.Collection, scene: bpy.types.Scene, middle: np.ndarray) -> bpy.types.Object:
-    """A camera with its picture behind it."""
+    """Add a camera with its image as the background. middle: the box's centre [3]."""
     name = Path(view.camera.name).stem or view.image.stem
     data = bpy.data.cameras.new(name)
     camera = bpy.data.objects.new(name, data)
     collection.objects.link(camera)
     set_camera(camera, view.camera)
     add_background(camera, view.image, scene, (view.camera.width, view.camera.height))
-    data.display_size = max(SHOWN * float(np.linalg.norm(view.camera.position - middle)), 1e-4)
+    data.display_size = max(DISPLAY_SIZE * float(np.linalg.norm(view.camera.position - middle)), 1e-4)
     return camera
 
 
-def commonest(cameras: list[Camera]) -> Camera:
-    """The first camera of the picture size that most have."""
+def most_common(cameras: list[Camera]) -> Camera:
+    """The first camera with the resolution that most cameras have."""
     sizes = Counter((camera.width, camera.height) for camera in cameras)
     size = sizes.most_common(1)[0][0]
     return next(camera for camera in cameras if (camera.width, camera.height) == size)
 
 
-def shortcomings(cameras: list[Camera]) -> list[str]:
-    """What Blender cannot show of these cameras, in sentences."""
-    told = []
-    bent = sum(camera.distortion is not None for camera in cameras)
-    if bent:
-        told.append(
-            f"{bent} have a lens with distortion, which a Blender camera cannot show: towards the edges, pictures and scene do not meet; "
-            "training and evaluation go by the lens."
+def limitations(cameras: list[Camera]) -> list[str]:
+    """Sentences about what Blender cannot show of these cameras."""
+    sentences = []
+    distorted = sum(camera.distortion is not None for camera in cameras)
+    if distorted:
+        sentences.append(
+            f"{distorted} have a lens with distortion, which Blender cameras lack: images and scene do not line up at the edges; "
+            "training and evaluation use the distortion."
         )
-    usual = commonest(cameras)
-    others = sum((camera.width, camera.height) != (usual.width, usual.height) for camera in cameras)
+    common = most_common(cameras)
+    others = sum((camera.width, camera.height) != (common.width, common.height) for camera in cameras)
     if others:
-        told.append(f"{others} have another picture size than the scene's, {usual.width} x {usual.height}.")
-    return told
+        sentences.append(f"{others} have another resolution than the scene's, {common.width} x {common.height}.")
+    return sentences

@@ -1,17 +1,17 @@
-"""A field that others trained."""
+"""Import a field."""
 
 from __future__ import annotations
 
 import bpy
 
-from .import_verb import ImportVerb
+from .import_operator import ImportOperator
 
 
-class SNERG_OT_import_field(ImportVerb, bpy.types.Operator):
-    """Import a trained field: one of ours, or a checkpoint of the published SNeRG code"""
+class SNERG_OT_import_field(ImportOperator, bpy.types.Operator):
+    """Import a trained field, or a checkpoint of the published SNeRG code"""
 
     bl_idname = "snerg.import_field"
     bl_label = "Import Field"
     bl_options = {"REGISTER"}
     step, label = "field", "Importing the field"
-    key, what = "field", "field"
+    key, noun = "field", "field"

@@ -1,17 +1,17 @@
-"""A scene that others baked."""
+"""Import a baked scene."""
 
 from __future__ import annotations
 
 import bpy
 
-from .import_verb import ImportVerb
+from .import_operator import ImportOperator
 
 
-class SNERG_OT_import_scene(ImportVerb, bpy.types.Operator):
-    """Import a baked scene: one of ours, or the PNG folder of the published SNeRG code"""
+class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
+    """Import a baked scene, or the PNG files of the published SNeRG code"""
 
     bl_idname = "snerg.import_scene"
     bl_label = "Import Scene"
     bl_options = {"REGISTER"}
     step, label = "bake", "Importing the scene"
-    key, what = "scene", "baked scene"
+    key, noun = "scene", "baked scene"

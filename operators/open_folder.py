@@ -1,4 +1,4 @@
-"""Show a step's files."""
+"""Show the project's files."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ class SNERG_OT_open_folder(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The folder exists once a step has left something."""
+        """Whether the folder exists yet."""
         if not project_of(context.scene).folder.is_dir():
-            cls.poll_message_set("Nothing has been made yet")
+            cls.poll_message_set("The project is still empty")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Hand the folder to the system."""
+        """Open the folder in the system's file browser."""
         bpy.ops.wm.path_open(filepath=str(project_of(context.scene).folder))
         return {"FINISHED"}

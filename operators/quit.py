@@ -1,6 +1,6 @@
-"""Leaving the file while jobs run. No add-on can hold Blender back, but the keys for it can ask first.
+"""Closing the file while jobs run. An add-on cannot keep Blender from closing a file, but the keys for it can ask first.
 
-Left any other way, jobs run on; opening the file again finds them.
+If the file is closed in another way, jobs continue; opening the file again finds them.
 """
 
 # mypy: disable-error-code="valid-type"
@@ -14,23 +14,23 @@ import bpy
 from ..core.errors import SnergError
 from ..snerg_addon import activity
 
-KEYS = {"Q": "QUIT", "O": "OPEN", "N": "NEW"}  # Blender's own, all with Ctrl
-TITLES = {"QUIT": "Quit Blender", "OPEN": "Open Another File", "NEW": "Begin a New File"}
+KEYS = {"Q": "QUIT", "O": "OPEN", "N": "NEW"}  # Blender's own shortcuts, all with Ctrl (Cmd on macOS)
+TITLES = {"QUIT": "Quit Blender", "OPEN": "Open Another File", "NEW": "New File"}
 _items: list[tuple[Any, Any]] = []
 
 
 class SNERG_OT_quit(bpy.types.Operator):
-    """Leave the file, asking first what becomes of the work that SNeRG has under way"""
+    """Ask whether running SNeRG tasks continue, then close the file"""
 
     bl_idname = "snerg.quit"
-    bl_label = "Leave the File"
+    bl_label = "Close File"
     bl_options = {"INTERNAL"}
 
     jobs: bpy.props.EnumProperty(
-        name="Work Under Way",
+        name="Running Tasks",
         items=[
-            ("RUN", "Let It Run On", "It goes on by itself; opening the file again shows how it went"),
-            ("STOP", "Stop It", "What was finished before is kept"),
+            ("RUN", "Continue", "The tasks continue in the background; open the file again to see the results"),
+            ("STOP", "Stop", "What is finished so far is kept"),
         ],
         default="RUN",
         options={"SKIP_SAVE"},
@@ -44,31 +44,31 @@ class SNERG_OT_quit(bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        """Only while jobs run: else Blender goes on to what the key means without this add-on."""
-        return any(begun.is_job for begun in activity.current())
+        """Whether jobs run; if not, Blender continues with the key's own operator."""
+        return any(running.is_job for running in activity.current())
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        """Ask."""
+        """Open the dialog."""
         title = TITLES[self.then]
         return set(context.window_manager.invoke_props_dialog(self, title=f"{title}?", confirm_text=title))
 
     def draw(self, _context: bpy.types.Context) -> None:
-        """What is under way, and the choice."""
+        """The running tasks, and the choice."""
         layout = self.layout
-        for begun in activity.current():
-            layout.label(text=f"{begun.label}: {begun.work.message}", icon="SORTTIME" if begun.outlives else "ERROR")
-            if not begun.is_job:
-                layout.label(text="It ends in any case: Blender does it itself")
-            elif not begun.outlives:
-                layout.label(text="It ends with Blender: the file was never saved")
+        for running in activity.current():
+            layout.label(text=f"{running.label}: {running.task.text}", icon="SORTTIME" if running.outlives else "ERROR")
+            if not running.is_job:
+                layout.label(text="Stops in any case: it runs inside Blender")
+            elif not running.outlives:
+                layout.label(text="Stops with Blender: the file was never saved")
         layout.prop(self, "jobs", expand=True)
 
     def execute(self, _context: bpy.types.Context) -> set[str]:
-        """Blender asks about unsaved changes itself."""
+        """Stop the tasks if chosen, then close the file. Blender itself asks about unsaved changes."""
         if self.jobs == "STOP":
             try:
-                for begun in activity.current():
-                    begun.work.cancel()
+                for running in activity.current():
+                    running.task.cancel()
             except SnergError as error:
                 self.report({"ERROR"}, str(error))
                 return {"CANCELLED"}
@@ -82,7 +82,7 @@ class SNERG_OT_quit(bpy.types.Operator):
 
 
 def add_keys() -> None:
-    """Come before Blender's own keys. There are no keys in background mode."""
+    """Add the shortcuts, which come before Blender's own. Background mode has none."""
     configuration = bpy.context.window_manager.keyconfigs.addon
     if configuration is None:
         return
@@ -94,7 +94,7 @@ def add_keys() -> None:
 
 
 def remove_keys() -> None:
-    """Give them back."""
+    """Remove the shortcuts."""
     while _items:
         keymap, item = _items.pop()
         keymap.keymap_items.remove(item)

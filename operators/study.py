@@ -1,4 +1,4 @@
-"""What accuracy costs, measured on the field."""
+"""Measure quality against time and size."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 import bpy
 
 from ..core.io.files import write_bytes
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.bridge import STUDY
 from ..snerg_addon.project import Project, remember
 from .bake import box_to_bake
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_study(LongVerb, bpy.types.Operator):
-    """Measure what resolution, samples, codecs and other choices cost in quality, time and bytes, and write a report"""
+class SNERG_OT_study(TaskOperator, bpy.types.Operator):
+    """Measure how resolution, samples, image format and other settings affect quality, time and file size, and write a report"""
 
     bl_idname = "snerg.study"
     bl_label = "Study"
@@ -26,9 +26,11 @@ class SNERG_OT_study(LongVerb, bpy.types.Operator):
     step, label = "study", "Studying"
     needs = "field"
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`study` of the command line, with the panel's resolution as the usual one; each field, box and resolution has a folder of its
-        own, so that a study goes on only with what belongs to it."""
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `study`, with the panel's resolution in the baseline configuration.
+
+        Each field, box and resolution has a folder of its own, so that a study only continues measurements of the same.
+        """
         settings = context.scene.snerg
         arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
         where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
@@ -40,10 +42,10 @@ class SNERG_OT_study(LongVerb, bpy.types.Operator):
             arguments += ["--box", str(path)]
         if settings.target_db:
             arguments += ["--target-db", f"{settings.target_db:g}"]
-        return start_verb([*arguments, "--out", str(project.studies / where)])
+        return start_command([*arguments, "--out", str(project.studies / where)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Show its pictures beside the truth as an image, and note where the report is."""
+        """Load the contact sheet as an image, and record where the report is."""
         folder = Path(result["out"])
         old = bpy.data.images.get(STUDY)
         if old is not None:

@@ -1,4 +1,4 @@
-"""Dataset to field."""
+"""Train a field on the dataset."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.curve import curve_of
 from ..snerg_addon.project import Project, remember
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class SNERG_OT_train(LongVerb, bpy.types.Operator):
-    """Train a field on the dataset, in a process of its own. Continues where an earlier training stopped"""
+class SNERG_OT_train(TaskOperator, bpy.types.Operator):
+    """Train a radiance field on the dataset, in the background. Continues an unfinished training with the same settings"""
 
     bl_idname = "snerg.train"
     bl_label = "Train Field"
@@ -23,17 +23,17 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
     step, label = "field", "Training"
     needs, queues = "dataset", True
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`train` of the command line."""
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `train`."""
         scene = context.scene
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
         project.note_settings(out, arguments[arguments.index("--preset") :])
-        return start_verb(arguments)
+        return start_command(arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to, and why it went as it did."""
+        """Record the new version with the decisions of the training, and put it in use."""
         folder = project.version_made("field", result["field"])
         remember(project, "field", folder, result, decisions=result.get("decisions", []))
         quality = f" at {result['psnr']:.1f} dB" if isinstance(result.get("psnr"), float) else ""
@@ -41,7 +41,7 @@ class SNERG_OT_train(LongVerb, bpy.types.Operator):
 
 
 def unfinished(scene: bpy.types.Scene, project: Project) -> Path | None:
-    """The version that training with these settings goes on with: the last that was started with just them, where it was stopped."""
+    """The version that training would continue: the one started last, if it was stopped and had the same settings; else None."""
     last = project.notes().get("training", {})
     out = project.folder / str(last.get("out", "field"))
     curve = curve_of(out)
@@ -51,7 +51,7 @@ def unfinished(scene: bpy.types.Scene, project: Project) -> Path | None:
 
 
 def training_arguments(scene: bpy.types.Scene, project: Project, out: Path | None = None) -> list[str]:
-    """What to start. out: None to compare with what was started before: an unfinished training goes on only with the same."""
+    """The command line of the training. out: its version; None for arguments without it, to compare two trainings."""
     settings = scene.snerg
     background = settings.train_background
     if background == "colour":

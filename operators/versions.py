@@ -1,4 +1,4 @@
-"""Which version of the field and of the baked scene is in use: choose, rename, delete."""
+"""Use, rename and delete versions of the field and of the baked scene, and use another project."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads the annotations of properties as values, hence no postponed evaluation here.
@@ -13,17 +13,17 @@ from ..core.io.files import cannot_write
 from ..core.jobs import folder as folders
 from ..snerg_addon.owner import adopt
 from ..snerg_addon.project import VERSIONS, Project, project_of
-from .job_runner import redraw
+from .task_operator import redraw
 
 
 class VersionOperator:
-    """Mixed into an operator on one version. step: 'field' or 'scene'; version: its folder's name."""
+    """Mixed into an operator on one version. step: 'field' or 'scene'. version: the name of its folder."""
 
     step: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
     version: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Do it, or say in a sentence why not."""
+        """Find the version and call `act`; report what went wrong."""
         project = project_of(context.scene)
         try:
             there = project.versions(self.step) if self.step in VERSIONS else []
@@ -38,19 +38,19 @@ class VersionOperator:
         return {"FINISHED"}
 
     def act(self, project: Project, chosen: Path) -> None:
-        """Do it. Raises SnergError."""
+        """Do the operator's work on the version `chosen`. Raises SnergError."""
         raise NotImplementedError
 
 
 class SNERG_OT_use_version(VersionOperator, bpy.types.Operator):
-    """Use this version from here on. The others stay"""
+    """Use this version in the next steps. The other versions are kept"""
 
     bl_idname = "snerg.use_version"
     bl_label = "Use This Version"
     bl_options = {"REGISTER", "INTERNAL"}
 
     def act(self, project: Project, chosen: Path) -> None:
-        """Put it in use."""
+        """Put the version in use."""
         project.use(self.step, chosen)
 
 
@@ -61,44 +61,44 @@ class SNERG_OT_rename_version(VersionOperator, bpy.types.Operator):
     bl_label = "Rename Version"
     bl_options = {"REGISTER", "INTERNAL"}
 
-    name: bpy.props.StringProperty(name="Name", description="Empty: its number", options={"SKIP_SAVE"})
+    name: bpy.props.StringProperty(name="Name", description="Name of the version. Empty: its number", options={"SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Ask for the name."""
         return set(context.window_manager.invoke_props_dialog(self))
 
     def act(self, project: Project, chosen: Path) -> None:
-        """Note the name."""
+        """Record the name."""
         project.rename(chosen, self.name)
 
 
 class SNERG_OT_delete_version(VersionOperator, bpy.types.Operator):
-    """Delete this version and its files for good"""
+    """Delete this version and its files"""
 
     bl_idname = "snerg.delete_version"
     bl_label = "Delete Version"
     bl_options = {"REGISTER", "INTERNAL"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first: there is no undo."""
+        """Ask first, because there is no undo."""
         name = f"{self.step} {self.version}"
         return set(context.window_manager.invoke_confirm(self, event, title=f"Delete the {name}?", message="This cannot be undone."))
 
     def act(self, project: Project, chosen: Path) -> None:
-        """Only the version's own folder; not while a job reads or writes it."""
+        """Delete the version's folder, unless a job reads or writes it."""
         for job in folders.live_jobs(project.folder):
             if str(chosen) in folders.read_record(job).get("command", []):
                 raise SnergError(f"{folders.label_of(job)} uses this version; wait for it or stop it first.")
         try:
             doomed = chosen.with_name(f".{chosen.name}.deleted")
-            chosen.rename(doomed)  # in one step, so that no half of it is ever in use
+            chosen.rename(doomed)  # in one step, so that a half-deleted version is never in use
         except OSError as error:
             raise cannot_write(chosen, error) from error
         shutil.rmtree(doomed, ignore_errors=True)
 
 
 class SNERG_OT_adopt_project(bpy.types.Operator):
-    """Use this project for this scene from here on. The file that it belonged to gets a new one"""
+    """Use this project for this scene. The file that it belonged to starts a new one"""
 
     bl_idname = "snerg.adopt_project"
     bl_label = "Use It Here"
@@ -107,7 +107,7 @@ class SNERG_OT_adopt_project(bpy.types.Operator):
     folder: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make it this scene's."""
+        """Make the scene the project's owner."""
         try:
             folder = Path(self.folder)
             if not folder.is_dir():

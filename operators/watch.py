@@ -1,13 +1,14 @@
-"""The one timer that watches all work: it finds the jobs of the open file, shows how they go, and takes in what came of them.
+"""The one timer that polls all tasks: it finds the jobs of the open file, shows their progress, and finishes those that have ended.
 
-A job belongs to its project, not to the session or the window that started it: it is found by its folder, whether this session
-started it, one before, or another Blender. Its result is taken in once, by whoever finds it ended first.
+A job belongs to its project, and not to the session or the window that started it: it is found by its folder, whether this session
+started it, an earlier one, or another Blender. Its result is taken once, by the first Blender that finds it ended.
 """
 
 from __future__ import annotations
 
 import shutil
 import traceback
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -18,99 +19,99 @@ from ..core.jobs.runner import Job
 from ..snerg_addon import activity, saving
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
-from .job_runner import LongVerb, redraw
+from .task_operator import TaskOperator, redraw
 
-TICK_SECONDS = 0.2
-IDLE_SECONDS = 1.0  # between looks where nothing is under way
-_stale = False  # whether something that is shown has changed since
+TICK_SECONDS = 0.2  # between two calls of the timer
+IDLE_SECONDS = 1.0  # between two calls while no task runs
+_stale = False  # whether something changed that is not drawn yet
 
 
 def tick() -> float:
-    """What the timer does; returns the seconds until it shall do it again."""
+    """The timer's function. Returns the seconds until its next call."""
     global _stale
     try:
         _stale = _stale or bool(activity.current())
-        saving.settle_all()
+        saving.move_saved_projects()
         find()
-        for begun in activity.current():
-            follow(begun)
+        for running in activity.current():
+            follow(running)
         if _stale or activity.current():
             _stale = not redraw()
-    except Exception:  # a timer that raises is never called again, and nothing would be taken in any more
+    except Exception:  # Blender never calls a timer again that raised, and no task would end any more
         traceback.print_exc()
     return TICK_SECONDS if activity.current() else IDLE_SECONDS
 
 
 def find() -> None:
-    """Show the jobs of the open scenes' projects, and no others'; stop what Blender did itself for a scene that is gone."""
+    """Show the jobs of the open scenes' projects and no others. Cancel work inside Blender whose scene was deleted."""
     scenes = {project_of(scene).folder: scene for scene in reversed(bpy.data.scenes)}
     sessions = {scene.session_uid for scene in bpy.data.scenes}
-    for begun in activity.current():
-        if not begun.is_job and begun.session not in sessions:
-            begun.work.cancel()
-            activity.end(begun)
-        elif begun.is_job and begun.project not in scenes:
-            activity.end(begun)
-    known = {begun.key for begun in activity.current()}
+    for running in activity.current():
+        if not running.is_job and running.session not in sessions:
+            running.task.cancel()
+            activity.end(running)
+        elif running.is_job and running.project not in scenes:
+            activity.end(running)
+    known = {running.key for running in activity.current()}
     for project, scene in scenes.items():
         for folder in folders.job_folders(project):
             if str(folder) not in known and not (folder / folders.TAKEN).exists():
                 activity.begin(found(Job.found(folder), scene, project))
 
 
-def found(job: Job, scene: bpy.types.Scene, project: Any) -> Activity:
-    """A job that this session did not start, or started for another file."""
+def found(job: Job, scene: bpy.types.Scene, project: Path) -> Activity:
+    """The activity of a job that this session did not start, or started while another file was open."""
     texts = {name: str(job.record.get(name, "")) for name in ("step", "label", "operator", "scene")}
     named = bpy.data.scenes.get(texts["scene"])
     name = texts["scene"] if named is not None and project_of(named).folder == project else scene.name
     return Activity(texts["step"], texts["label"] or "A job", job, texts["operator"], project, name)
 
 
-def follow(begun: Activity) -> None:
-    """See how it goes; when it has ended, say what came of it."""
-    work = begun.work
-    if work.poll():
+def follow(running: Activity) -> None:
+    """Poll its task. When the task has ended, finish it and report the outcome."""
+    task = running.task
+    if task.poll():
         return
-    activity.end(begun)
-    if isinstance(work, Job) and work.folder is not None:
-        shutil.rmtree(work.folder / folders.INPUT, ignore_errors=True)  # which a job that was killed left
-        if not folders.take(work.folder):
+    activity.end(running)
+    if isinstance(task, Job) and task.folder is not None:
+        shutil.rmtree(task.folder / folders.INPUT, ignore_errors=True)  # left there by a job that was killed
+        if not folders.take(task.folder):
             return
-    if work.state == "done":
-        activity.say(begun.project, *take_in(begun))
+    if task.state == "done":
+        activity.report(running.project, *take_result(running))
     else:
-        activity.say(begun.project, f"{begun.label}: {work.error}", False)
-        if isinstance(work, Job) and work.state == "failed":
-            print(*work.log, sep="\n")
+        activity.report(running.project, f"{running.label}: {task.error}", False)
+        if isinstance(task, Job) and task.state == "failed":
+            print(*task.log, sep="\n")
 
 
-def take_in(begun: Activity) -> tuple[str, bool]:
-    """Let its operator finish; returns what to say, and whether that is good news."""
-    scene, verb = bpy.data.scenes.get(begun.scene), operator_class(begun.operator)
-    if scene is None or verb is None:
-        return f"{begun.label} has ended; its result is in {begun.project}.", True
-    finisher = Finisher(verb)
+def take_result(running: Activity) -> tuple[str, bool]:
+    """Let its operator finish. Returns the sentence to report, and whether all went well."""
+    scene, operator = bpy.data.scenes.get(running.scene), operator_class(running.operator)
+    if scene is None or operator is None:
+        return f"{running.label} has ended; its result is in {running.project}.", True
+    finisher = Finisher(operator)
     try:
-        sentence = finisher.finish(scene, project_of(scene), begun.work.result)
+        sentence = finisher.finish(scene, project_of(scene), running.task.result)
     except SnergError as error:
         return str(error), False
-    except Exception as error:  # of a result that was damaged, or a bug: either way the panel must not wait for ever
+    except Exception as error:  # a damaged result, or a bug: the panel must not wait for ever
         traceback.print_exc()
-        return f"The result could not be taken in ({type(error).__name__}: {error}); Blender's console says where.", False
-    if "UNDO" in getattr(verb, "bl_options", ()):
-        remember_for_undo(begun.label)
+        return f"The result could not be used ({type(error).__name__}: {error}); see Blender's console for details.", False
+    if "UNDO" in getattr(operator, "bl_options", ()):
+        remember_for_undo(running.label)
     return " ".join([sentence, *finisher.warnings]), not finisher.warnings
 
 
 class Finisher:
-    """Stands in for an operator whose work has ended, of which Blender keeps no instance: its class, and a `report`."""
+    """Stands in for the instance of an operator, which Blender deleted long ago: its class's attributes, and `report`."""
 
     def __init__(self, operator: Any) -> None:
         self._operator = operator
         self.warnings: list[str] = []
 
     def report(self, _kinds: set[str], text: str) -> None:
-        """For the panel."""
+        """Keep a warning for the panel."""
         self.warnings.append(text)
 
     def __getattr__(self, name: str) -> Any:
@@ -119,14 +120,14 @@ class Finisher:
 
 
 def operator_class(name: str) -> Any:
-    """The long verb of that bl_idname; None where there is none."""
+    """The task operator with that bl_idname; None where there is none."""
     from . import classes
 
-    return next((verb for verb in classes() if issubclass(verb, LongVerb) and getattr(verb, "bl_idname", None) == name), None)
+    return next((cls for cls in classes() if issubclass(cls, TaskOperator) and getattr(cls, "bl_idname", None) == name), None)
 
 
 def remember_for_undo(label: str) -> None:
-    """A step of undo, which Blender made before there was anything to undo."""
+    """Push an undo step: the one that Blender made for the operator came before the result."""
     windows = bpy.context.window_manager.windows
     if windows:
         with bpy.context.temp_override(window=windows[0]):
@@ -134,20 +135,20 @@ def remember_for_undo(label: str) -> None:
 
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
-    """At the end of the status bar, in every window and workspace."""
-    for begun in activity.current():
-        header.layout.label(text=f"SNeRG: {begun.label}, {begun.work.fraction:.0%}")
+    """Draw each activity at the end of the status bar, in every window and workspace."""
+    for running in activity.current():
+        header.layout.label(text=f"SNeRG: {running.label}, {running.task.fraction:.0%}")
 
 
 def register() -> None:
-    """Begin to watch. A timer that persists goes on when another file is opened."""
+    """Start the timer. A persistent timer continues when another file is opened."""
     bpy.types.STATUSBAR_HT_header.append(draw_status)
-    if not bpy.app.background:  # where nothing calls timers
+    if not bpy.app.background:  # in background mode nothing calls timers
         bpy.app.timers.register(tick, first_interval=IDLE_SECONDS, persistent=True)
 
 
 def unregister() -> None:
-    """Watch no more."""
+    """Stop the timer."""
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)

@@ -1,15 +1,15 @@
-"""Blender's nouns: properties, panels, and the bridge between Blender's objects and core's."""
+"""The add-on apart from its operators: settings, panels, the project, and the conversion between Blender's data and core's."""
 
 
 def register() -> None:
-    """Register every class, the scene's property and the command, in an order in which each finds what it needs."""
+    """Register everything with Blender."""
     from . import registration
 
     registration.register()
 
 
 def unregister() -> None:
-    """The reverse of `register`; stops work that is under way."""
+    """Undo `register`. Work inside Blender is cancelled; jobs continue."""
     from . import registration
 
     registration.unregister()

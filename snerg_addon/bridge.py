@@ -1,4 +1,4 @@
-"""The one place where Blender's objects become core's dataclasses, and core's arrays become Blender's images."""
+"""Conversion between Blender's objects and core's dataclasses, and from core's arrays to Blender's images."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
 from ..core.io.images import to_uint8
 
-SENSOR = 36.0  # mm across the picture, of cameras that we make
+SENSOR = 36.0  # mm, the sensor width of the cameras that are created: Blender's default
 PREVIEW = "SNeRG Preview"
 STUDY = "SNeRG Study"
 BOX = "SNeRG Box"
 
 
 def resolution(scene: bpy.types.Scene) -> tuple[int, int]:
-    """(width, height) in pixels that a render of the scene has, percentage included."""
+    """(width, height) of a render of the scene in pixels, with the resolution percentage."""
     render = scene.render
     return max(1, render.resolution_x * render.resolution_percentage // 100), max(
         1, render.resolution_y * render.resolution_percentage // 100
@@ -33,10 +33,10 @@ def resolution(scene: bpy.types.Scene) -> tuple[int, int]:
 def camera_from_blender(
     camera: bpy.types.Object, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None = None
 ) -> Camera:
-    """The camera as Blender itself projects: every sensor fit, shift and pixel aspect (hard cases 1, 2, 3).
+    """The core camera with the projection that Blender computes, for every sensor fit, shift and pixel aspect (hard cases 1, 2, 3).
 
-    size: (width, height) pixels, by default the scene's. Raises SnergError that names a camera which is
-    neither perspective nor orthographic, or has an impossible pose.
+    size: (width, height) in pixels, by default the scene's. Raises SnergError where the camera is neither perspective nor orthographic,
+    or its pose is not a rotation and a translation.
     """
     if camera.type != "CAMERA":
         raise SnergError(f"{camera.name!r} is not a camera; choose a camera.")
@@ -66,10 +66,10 @@ def camera_from_blender(
 
 
 def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene | None = None) -> None:
-    """Make a Blender camera see what `source` sees, but for its lens's distortion, which Blender's cameras do not have.
+    """Give a Blender camera the pose and the projection of `source`, without its lens distortion, which Blender cameras lack.
 
-    `scene`, if given, takes its size and pixel aspect. A scene has one of each: of a camera with another picture, what the
-    scene's picture is wide is right, and pixels that are not square come out as the scene's are.
+    scene: takes the camera's resolution and pixel aspect, if given. A scene has only one of each: a camera with another resolution or
+    aspect still gets the right horizontal field of view.
     """
     data, (width, height) = camera.data, (source.width, source.height)
     aspect = source.focal[0] / source.focal[1]  # of a pixel: its height over its width
@@ -88,26 +88,26 @@ def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene 
 
 
 def set_picture(scene: bpy.types.Scene, source: Camera) -> None:
-    """Give a scene the size and the pixel aspect of a camera's picture."""
+    """Set a scene to the resolution and the pixel aspect of a camera."""
     render, aspect = scene.render, source.focal[0] / source.focal[1]
     render.resolution_x, render.resolution_y, render.resolution_percentage = source.width, source.height, 100
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
 
 
 def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int]) -> None:
-    """Show a picture of `size` behind everything when looking through a camera that `set_camera` set: as wide as its view."""
+    """Show an image of `size` (width, height) as the background of a camera that `set_camera` set, across the full width of its view."""
     width, height = resolution(scene)
-    aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x  # Blender takes the picture's own pixels for square
+    aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x  # Blender treats the image's pixels as square
     taller = size[1] / size[0] - height * aspect / width
     background = camera.data.background_images.new()
-    background.image = bpy.data.images.load(str(path), check_existing=True)  # its pixels wait until it is looked at
+    background.image = bpy.data.images.load(str(path), check_existing=True)  # the pixels are read when the image is first shown
     background.alpha, background.display_depth = 1.0, "BACK"
     background.frame_method = "STRETCH" if size == (width, height) else "CROP" if taller > 0 else "FIT"
     camera.data.show_background_images = True
 
 
 def add_points(name: str, points: np.ndarray, colours: np.ndarray | None, collection: bpy.types.Collection) -> bpy.types.Object:
-    """A mesh of bare vertices [N, 3], with their sRGB colours [N, 3] uint8 as the attribute 'Color' where there are any."""
+    """A mesh of vertices without faces from points [N, 3], with sRGB colours [N, 3] uint8 as the attribute 'Color' if given."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(points))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(points, np.float32).ravel())
@@ -124,7 +124,7 @@ def add_points(name: str, points: np.ndarray, colours: np.ndarray | None, collec
 
 
 def add_box(box: Box, scene: bpy.types.Scene, name: str = BOX) -> bpy.types.Object:
-    """A cube empty that shows a box, as the scene's box to bake."""
+    """Add a cube empty for a box, and make it the box that the scene bakes."""
     empty = bpy.data.objects.new(name, None)
     scene.collection.objects.link(empty)
     set_box(empty, box)
@@ -135,7 +135,7 @@ def add_box(box: Box, scene: bpy.types.Scene, name: str = BOX) -> bpy.types.Obje
 
 @contextmanager
 def temporary_camera() -> Iterator[bpy.types.Object]:
-    """A camera object in no scene, taken away at the end."""
+    """A camera object in no scene, deleted at the end."""
     data = bpy.data.cameras.new("SNeRG Rig")
     camera = bpy.data.objects.new("SNeRG Rig", data)
     try:
@@ -146,15 +146,15 @@ def temporary_camera() -> Iterator[bpy.types.Object]:
 
 
 def box_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """The object that is the scene's box; None where none is chosen, or it was deleted: the setting alone keeps its data-block."""
+    """The scene's box object; None where none is chosen, or it was deleted from the scene (the setting keeps its data-block alive)."""
     box = scene.snerg.box
     return box if box is not None and scene.objects.get(box.name) == box else None
 
 
 def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgraph | None = None) -> Box:
-    """The box that a cube empty shows: half a side is its display size times its scale.
+    """The box that a cube empty shows. Half a side is the display size times the scale.
 
-    Raises SnergError when there is none, it is not an empty, or it has no volume.
+    Raises SnergError where there is no empty, the object is not one, or the box has no volume.
     """
     if empty is None:
         raise SnergError("There is no box; add one with Add Box, or choose an empty under Box.")
@@ -168,38 +168,38 @@ def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgr
 
 
 def set_box(empty: bpy.types.Object, box: Box) -> None:
-    """Make a cube empty show a box."""
+    """Set an empty to show a box as a cube."""
     empty.empty_display_type, empty.empty_display_size = "CUBE", 1.0
     empty.matrix_world = Matrix((box.box_to_world @ np.diag([*(box.size / 2), 1])).tolist())
 
 
 def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
-    """Show [H, W, 3 or 4] display-referred values in [0, 1], straight alpha, top row first, as a Blender image.
+    """Put pixels [H, W, 3 or 4] into a Blender image: display-referred values in [0, 1], straight alpha, top row first.
 
-    An 8-bit sRGB image: Blender shows such values unchanged, whatever the scene's view transform is, and what is
-    saved from it is what was seen. Editors that show an earlier one go on with the new one.
+    The image is 8-bit sRGB, so that Blender shows and saves the values unchanged whatever the scene's view transform is. Editors that
+    show an earlier image of that name show the new one.
     """
     height, width = pixels.shape[:2]
     image = _byte_image(name, width, height)
     rgba = np.ones((height, width, 4), np.float32)
     rgba[..., : pixels.shape[2]] = to_uint8(pixels).astype(np.float32) / 255
-    image.pixels.foreach_set(rgba[::-1].ravel())  # Blender's bottom row comes first
+    image.pixels.foreach_set(rgba[::-1].ravel())  # Blender stores the bottom row first
     image.update()
-    image.pack()  # else it would be lost with the session, and Blender would ask about it on quitting
+    image.pack()  # else it would be lost with the session, and Blender would ask to save it
     return image
 
 
 def _byte_image(name: str, width: int, height: int) -> Any:
     old = bpy.data.images.get(name)
     if old is not None and (old.is_float or old.source not in ("GENERATED", "FILE")):
-        old.name = f"{name} (old)"  # somebody's own image of that name stays theirs
+        old.name = f"{name} (old)"  # an image of the artist's own stays as it is
         old = None
     if old is not None and tuple(old.size) == (width, height):
         return old
     image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=False)
     image.colorspace_settings.name = "sRGB"
     image.alpha_mode = "STRAIGHT"
-    if old is not None:  # a packed image cannot change its size: whatever showed the old one shows the new one
+    if old is not None:  # a packed image cannot change its size
         old.user_remap(image)
         bpy.data.images.remove(old)
         image.name = name

@@ -1,4 +1,4 @@
-"""Rendering a dataset from a Blender scene: views on transparent film, whose colours any NeRF tool can compare."""
+"""Rendering a dataset from a Blender scene: views on transparent film, in sRGB without a view transform."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,24 +16,26 @@ from typing import Any, TypeAlias
 
 import bpy
 
+from ..core.data.dataset import DatasetOptions
 from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
 from ..core.io.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
 from ..core.io.images import read_size
+from ..core.progress import Progress, silent
 from .bridge import camera_from_blender, set_camera, temporary_camera
 
 Shot: TypeAlias = bpy.types.Object | Camera
-TEXTS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # kinds of a PNG's chunks
-RENDERING = "rendering.json"  # in an unfinished dataset: what it is rendered from
+TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # PNG chunks that hold texts and times
+RENDERING = "rendering.json"  # in an unfinished dataset: its `rendering_key`
 
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """test_every: every n-th camera is held out of training, to measure on; 0 holds none out."""
+    """test_every: every n-th view is held out for testing; 0 holds none out."""
 
-    test_every: int = 8
+    test_every: int = DatasetOptions.holdout
 
 
 def render_dataset(
@@ -42,17 +44,16 @@ def render_dataset(
     folder: Path,
     settings: CaptureSettings | None = None,
     box: Box | None = None,
-    progress: Callable[[float, str], None] = lambda fraction, message: None,
-    goes_on: bool = True,
+    progress: Progress = silent,
+    resume: bool = True,
 ) -> dict[str, Any]:
-    """Render every shot and write the folder whole: train/, test/, transforms_train.json, transforms_test.json.
+    """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json.
 
-    shots: camera objects, or core cameras of the scene's resolution. box: recorded as what the scene is about.
-    goes_on: as `render_steps` has it. Returns {"train", "test": views, "width", "height": pixels} and, where there are any,
-    "kept": views of an earlier run. Raises SnergError on shots that cannot be rendered; `progress` may raise Cancelled. No setting
-    of the scene is touched.
+    shots: camera objects, or core cameras with the scene's resolution. box: recorded as the dataset's box. resume: see `render_steps`.
+    Returns {"train", "test": number of views, "width", "height": pixels}, and "kept": views reused from an earlier run, if any.
+    Raises SnergError where a shot cannot be rendered, and Cancelled where `progress` does. Changes no setting of the scene.
     """
-    steps = render_steps(scene, shots, folder, settings, box, goes_on)
+    steps = render_steps(scene, shots, folder, settings, box, resume)
     try:
         while True:
             try:
@@ -69,72 +70,76 @@ def render_steps(
     folder: Path,
     settings: CaptureSettings | None = None,
     box: Box | None = None,
-    goes_on: bool = True,
-) -> Any:
-    """`render_dataset` as a generator of (fraction, message), a view a step.
+    resume: bool = True,
+) -> Generator[tuple[float, str], None, dict[str, Any]]:
+    """`render_dataset` as a generator that yields (fraction, text) before each view and returns what `render_dataset` does.
 
-    The views are collected in `unfinished(folder)`, which takes the place of `folder` when all are there. A run that is stopped
-    or killed leaves it, as a dataset of the views so far; the next one goes on at the first that is missing if `goes_on` and what
-    the views are rendered from and how is the same, else it begins anew.
+    The views are collected in `unfinished(folder)`, which replaces `folder` when it is complete. A run that is stopped or killed leaves
+    the views so far there, as a valid dataset. The next run renders only the missing views if `resume` is set and the `rendering_key` is
+    the same; else it starts again.
     """
     settings = settings or CaptureSettings()
     cameras = core_cameras(scene, shots)
     splits = split_names(len(shots), settings.test_every)
     check_replaceable(folder)
-    part = unfinished(folder)
-    if not goes_on or rendering_of(part) != rendering(scene, cameras, settings):
-        check_replaceable(part)
-        shutil.rmtree(part, ignore_errors=True)
-        write_bytes(part / MARK, b"Written by SNeRG for Blender; a rendering of a dataset that goes on here.\n")
-        write_bytes(part / RENDERING, json_bytes(rendering(scene, cameras, settings)))
+    part, key = unfinished(folder), rendering_key(scene, cameras, settings)
+    if not resume or read_rendering(part) != key:
+        start_unfinished(part, key)
     kept = sum((part / f"{name}.png").is_file() for name in splits)
     for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
         if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
-            recorded = render_whole(scene, shot, part / f"{splits[index]}.png", camera)
+            recorded = render_file(scene, shot, part / f"{splits[index]}.png", camera)
             write_splits(part, cameras, splits, box, recorded)
-    if kept == len(shots):  # the one before was stopped just before its end
+    if kept == len(shots):  # the run before was stopped between its last view and its end
         with capture_scene(scene) as copy:
             write_splits(part, cameras, splits, box, colour_settings(copy))
+    complete(part, folder, splits)
+    held_out, first = sum(name.startswith("test") for name in splits), cameras[0]
+    counts = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
+    return {**counts, "kept": kept} if kept else counts
+
+
+def start_unfinished(part: Path, key: dict[str, Any]) -> None:
+    """Make an empty unfinished dataset, in place of an earlier one. key: its `rendering_key`. Raises SnergError."""
+    check_replaceable(part)
+    shutil.rmtree(part, ignore_errors=True)
+    write_bytes(part / MARK, b"Written by SNeRG for Blender; an unfinished dataset that the next rendering completes.\n")
+    write_bytes(part / RENDERING, json_bytes(key))
+
+
+def complete(part: Path, folder: Path, splits: Sequence[str]) -> None:
+    """Make the unfinished dataset `part` the dataset `folder`, in one step. splits: each view's path without suffix."""
     with new_folder(folder) as whole:
         for name in (*(f"{split}.png" for split in splits), *(path.name for path in part.glob("transforms_*.json"))):
             (whole / name).parent.mkdir(exist_ok=True)
             link_or_copy(part / name, whole / name)
     shutil.rmtree(part, ignore_errors=True)
-    held_out = sum(name.startswith("test") for name in splits)
-    first = cameras[0]
-    return {
-        "train": len(shots) - held_out,
-        "test": held_out,
-        "width": first.width,
-        "height": first.height,
-        **({"kept": kept} if kept else {}),
-    }
 
 
 def unfinished(folder: Path) -> Path:
-    """Where a dataset is rendered until it is whole: beside it."""
+    """The folder beside `folder` in which the dataset is rendered until it is complete."""
     return folder.with_name(f"{folder.name}.unfinished")
 
 
-def views_there(folder: Path) -> tuple[int, int]:
-    """(rendered, all) views of the dataset that is rendered into `folder` and not yet whole; (0, 0) where there is none."""
+def views_rendered(folder: Path) -> tuple[int, int]:
+    """(rendered, total) number of views of the unfinished dataset of `folder`; (0, 0) where there is none."""
     part = unfinished(folder)
-    count = rendering_of(part).get("views", 0)
+    count = read_rendering(part).get("views", 0)
     return (len(list(part.glob("*/r_*.png"))), count) if isinstance(count, int) and count else (0, 0)
 
 
-def rendering(scene: bpy.types.Scene, cameras: Sequence[Camera], settings: CaptureSettings) -> dict[str, Any]:
-    """What must be the same for a rendering to go on: cameras, frame and settings of rendering. What stands in the scene is not seen."""
+def rendering_key(scene: bpy.types.Scene, cameras: Sequence[Camera], settings: CaptureSettings) -> dict[str, Any]:
+    """{"views": their number, "key": a hash of the cameras, the frame and the render settings}. Objects and materials are not in it."""
     parts = (scene.render, scene.view_settings, scene.display_settings, *(getattr(scene, name, None) for name in ("cycles", "eevee")))
     poses = [[camera.name, *intrinsics_json(camera).items(), camera.camera_to_world.tolist()] for camera in cameras]
-    value = [settings.test_every, scene.name, scene.frame_current, scene.frame_subframe, poses, [plain_settings(part) for part in parts]]
+    value = [settings.test_every, scene.name, scene.frame_current, scene.frame_subframe, poses, [rna_settings(part) for part in parts]]
     key = hashlib.sha256(json.dumps(value, default=str).encode()).hexdigest()
     return {"views": len(cameras), "key": key}
 
 
-def plain_settings(thing: Any) -> dict[str, Any]:
-    """Numbers, choices and switches of a Blender struct, by name; not texts, which are paths of files that are not written."""
+def rna_settings(thing: Any) -> dict[str, Any]:
+    """The numbers, enums and booleans of a Blender struct, by name. Strings are left out: they are mostly output paths."""
     if thing is None:
         return {}
     found = {}
@@ -147,8 +152,8 @@ def plain_settings(thing: Any) -> dict[str, Any]:
     return found
 
 
-def rendering_of(part: Path) -> dict[str, Any]:
-    """What an unfinished dataset was rendered from; {} where there is none."""
+def read_rendering(part: Path) -> dict[str, Any]:
+    """The `rendering_key` of an unfinished dataset; {} where there is none."""
     try:
         value = read_json(part / RENDERING)
     except SnergError:
@@ -156,14 +161,13 @@ def rendering_of(part: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def render_whole(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """`render_view` to a picture that is whole or not there, and that holds nothing but the picture. Raises SnergError also when it
-    cannot be written."""
+def render_file(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
+    """`render_view` into a PNG without text chunks; the file is complete or absent. Raises SnergError also where it cannot be written."""
     beside = path.parent / f".{path.name}.part"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         recorded = render_view(scene, shot, beside, camera)
-        write_bytes(path, without_texts(beside.read_bytes()))
+        write_bytes(path, strip_text_chunks(beside.read_bytes()))
     except OSError as error:
         raise cannot_write(path, error) from error
     finally:
@@ -172,29 +176,29 @@ def render_whole(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera)
     return recorded
 
 
-def without_texts(png: bytes) -> bytes:
-    """A PNG without what Blender and Cycles write about it, such as how long it took, so that the same view is the same bytes."""
+def strip_text_chunks(png: bytes) -> bytes:
+    """A PNG without the texts that Blender and Cycles add, such as the render time, so that the same view gives the same bytes."""
     kept, at = [png[:8]], 8
     while at + 8 <= len(png):
-        size = 12 + int.from_bytes(png[at : at + 4], "big")  # length, kind, data and checksum
-        if png[at + 4 : at + 8] not in TEXTS:
+        size = 12 + int.from_bytes(png[at : at + 4], "big")  # length (4 bytes), type (4), data and checksum (4)
+        if png[at + 4 : at + 8] not in TEXT_CHUNKS:
             kept.append(png[at : at + size])
         at += size
     return b"".join(kept)
 
 
 def write_splits(part: Path, cameras: Sequence[Camera], splits: Sequence[str], box: Box | None, recorded: dict[str, Any]) -> None:
-    """The transforms of the views that are there."""
-    there = [index for index, name in enumerate(splits) if (part / f"{name}.png").is_file()]
+    """Write transforms_train.json and transforms_test.json for the views that are rendered. splits: each view's path without suffix."""
+    rendered = [index for index, name in enumerate(splits) if (part / f"{name}.png").is_file()]
     for split in ("train", "test"):
-        chosen = [index for index in there if splits[index].startswith(split)]
+        chosen = [index for index in rendered if splits[index].startswith(split)]
         if chosen:
             names = [f"./{splits[index]}" for index in chosen]
             write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, {"snerg_render": recorded})
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """The same file under a second name, or a copy where the disk knows no such thing."""
+    """Make `target` a hard link to `source`, or a copy where the file system has no hard links."""
     try:
         os.link(source, target)
     except OSError:
@@ -202,7 +206,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def core_cameras(scene: bpy.types.Scene, shots: Sequence[Shot]) -> list[Camera]:
-    """The shots as core cameras. Raises SnergError when there are none, or one cannot be used."""
+    """The shots as core cameras. Raises SnergError where there are none, or one cannot be used."""
     if not shots:
         raise SnergError("There is no camera to render from; add cameras to the scene, select some, or use the rig.")
     depsgraph = evaluated(scene)
@@ -210,7 +214,7 @@ def core_cameras(scene: bpy.types.Scene, shots: Sequence[Shot]) -> list[Camera]:
 
 
 def evaluated(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
-    """The scene's evaluated state; of any scene, not only the one in the window."""
+    """The evaluated dependency graph of any scene, also of one that no window shows."""
     if bpy.context.scene == scene:
         return bpy.context.evaluated_depsgraph_get()
     layer = scene.view_layers[0]
@@ -219,7 +223,7 @@ def evaluated(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
 
 
 def split_names(count: int, test_every: int) -> list[str]:
-    """'train/r_0', 'test/r_0', ... for each of `count` views, every `test_every`-th for testing."""
+    """'train/r_0', 'test/r_0', ... for each of `count` views: every `test_every`-th is a test view."""
     counts = {"train": 0, "test": 0}
     names = []
     for index in range(count):
@@ -230,9 +234,9 @@ def split_names(count: int, test_every: int) -> list[str]:
 
 
 def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """Render one view to a PNG with straight alpha, and return the settings that decide its colours.
+    """Render one view to a PNG with straight alpha, and return its `colour_settings`.
 
-    Raises SnergError when Blender wrote no picture, or one of another size than `camera`'s.
+    camera: of the shot. Raises SnergError where Blender wrote no image, or one that does not have the camera's size.
     """
     with capture_scene(scene) as copy, temporary_camera() as stand_in:
         copy.render.filepath = str(path)
@@ -244,7 +248,7 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) 
             copy.camera = shot
         try:
             bpy.ops.render.render(write_still=True, scene=copy.name)
-        except RuntimeError as error:  # how Blender's operators tell what went wrong
+        except RuntimeError as error:  # the error report of a Blender operator
             why = str(error).strip()
             raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error
         recorded = colour_settings(copy)
@@ -257,14 +261,15 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) 
 
 @contextmanager
 def capture_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
-    """A copy of the scene, sharing its objects, set for capture (hard cases 7, 8); taken away at the end.
+    """A linked copy of the scene with the settings for rendering datasets, deleted at the end.
 
-    Because every setting is made on the copy, the artist's own are never touched, whatever happens.
+    Film transparent, standard view transform, no dither, compositing, motion blur or border: each would change the colours or the alpha
+    (hard cases 7, 8). The artist's own scene keeps its settings, whatever happens.
     """
     copy, camera = scene.copy(), scene.camera
     try:
         render, image = copy.render, copy.render.image_settings
-        copy.timeline_markers.clear()  # markers bind cameras to frames; ours decides
+        copy.timeline_markers.clear()  # markers can bind another camera to the frame
         render.film_transparent = True
         render.use_border = render.use_multiview = render.use_stamp = False
         render.use_compositing = render.use_sequencer = render.use_motion_blur = False
@@ -278,17 +283,18 @@ def capture_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
         _standard_view(copy)
         yield copy
     finally:
-        scene.camera = camera  # rendering updates every scene's frame, at which a marker may have chosen another
+        scene.camera = camera  # rendering sets every scene to its frame, where a marker may have chosen another camera
         bpy.data.scenes.remove(copy)
 
 
 def _standard_view(scene: bpy.types.Scene) -> None:
+    """Set the view transform Standard for sRGB. Raises SnergError where the colour configuration has none."""
     view = scene.view_settings
     try:
         scene.display_settings.display_device = "sRGB"
         view.view_transform = "Standard"
         view.look = "None"
-    except TypeError as error:  # a colour configuration of the artist's own, without these names
+    except TypeError as error:  # a custom OCIO configuration without these names
         raise SnergError(
             "The colour configuration has no view transform 'Standard' for sRGB; start Blender without the OCIO variable."
         ) from error
@@ -300,7 +306,7 @@ def _standard_view(scene: bpy.types.Scene) -> None:
 
 
 def colour_settings(scene: bpy.types.Scene) -> dict[str, Any]:
-    """What decides a render's colours, for the dataset to remember."""
+    """The settings that decide a render's colours, as recorded in the dataset. JSON values."""
     view = scene.view_settings
     return {
         "engine": scene.render.engine,

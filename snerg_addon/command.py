@@ -1,4 +1,4 @@
-"""`blender --command snerg VERB ...`: the same command line as outside Blender."""
+"""`blender --command snerg COMMAND ...`: the same command line as outside Blender."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run a verb with Blender's own Python and return the exit code."""
+    """Run a command in this process and return the exit code."""
     from ..core.cli import main
 
     _flush_banner()
@@ -19,7 +19,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _flush_banner() -> None:
-    """Let out what Blender itself has printed: held back in a pipe, its version would follow the result's last line."""
+    """Flush C's standard output, where Blender printed its version: in a pipe it would otherwise follow the result."""
     with contextlib.suppress(OSError, AttributeError, TypeError):  # TypeError: Windows has no library without a name
         ctypes.CDLL(None).fflush(None)
     with contextlib.suppress(OSError, AttributeError):

@@ -1,4 +1,4 @@
-"""A training's curve for the panel: from the log that it writes as it goes, read again only when it grew."""
+"""The training curve for the panel, from the log that training writes."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from ..core.errors import SnergError
 from ..core.training.log import FILE, read_log
 
 BARS = "▁▂▃▄▅▆▇█"
-WIDTH = 32  # bars across the sidebar
+WIDTH = 32  # bars that fit across the sidebar
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Of one training: fraction done, 0..1; steps; seconds; psnr: dB on training rays; held_out: the latest dB on views it never
-    saw, None where there are none; bars: the course of the held-out quality, or of the training rays where there is none."""
+    """The state of one training. fraction: done, in [0, 1]. psnr: latest dB on training rays. held_out: latest dB on held-out views.
+
+    Both are None where they were not measured. bars: the curve of the held-out PSNR as text, or of the training rays' where there is none.
+    """
 
     fraction: float = 0.0
     steps: int = 0
@@ -30,7 +32,7 @@ _cache: dict[Path, tuple[tuple[int, int], Curve]] = {}
 
 
 def curve_of(folder: Path) -> Curve | None:
-    """The curve of the training that a field's folder holds the log of, None where there is none. Never raises."""
+    """The curve of the training log in a field's folder, cached until the log grows; None where there is none. Never raises."""
     path = folder / FILE
     try:
         status = path.stat()
@@ -46,7 +48,7 @@ def curve_of(folder: Path) -> Curve | None:
 
 
 def read_curve(lines: list[dict[str, Any]]) -> Curve:
-    """The curve of a log's lines (see core/training/log.py)."""
+    """The curve of the lines of a log (see core/training/log.py)."""
     rays = [line for line in lines if _is_number(line.get("psnr"))]
     held = [line for line in lines if _is_number(line.get("held_out_psnr"))]
     last = rays[-1] if rays else {}
@@ -62,7 +64,7 @@ def read_curve(lines: list[dict[str, Any]]) -> Curve:
 
 
 def sparkline(values: list[float], width: int = WIDTH) -> str:
-    """Values as bars of a line of text, at most `width` of them, each the mean of its share."""
+    """Values as a line of at most `width` bars, each the mean of its part of the values; '' for fewer than two values."""
     if len(values) < 2:
         return ""
     count = min(width, len(values))

@@ -1,4 +1,4 @@
-"""The steps as a menu of the 3D view: Blender's search (F3) finds only what some menu has."""
+"""The operators as a menu of the 3D view: Blender's search (F3) finds only operators that are in a menu."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ STEPS = (
 
 
 class SNERG_MT_steps(bpy.types.Menu):
-    """From Blender's cameras to a baked radiance field, in Blender and on a web page"""
+    """Train, bake and export a radiance field"""
 
     bl_label = "SNeRG"
     bl_idname = "SNERG_MT_steps"
 
     def draw(self, _context: bpy.types.Context) -> None:
-        """The steps in their order, each with its import."""
+        """One group of operators a step."""
         for index, operators in enumerate(STEPS):
             if index:
                 self.layout.separator()
@@ -29,18 +29,18 @@ class SNERG_MT_steps(bpy.types.Menu):
 
 
 def draw_entry(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
-    """Its line in the 3D view's Object menu."""
+    """Draw the submenu in the 3D view's Object menu."""
     self.layout.separator()
     self.layout.menu(SNERG_MT_steps.bl_idname)
 
 
 def register() -> None:
-    """Append the line."""
+    """Append the submenu."""
     bpy.types.VIEW3D_MT_object.append(draw_entry)
 
 
 def unregister() -> None:
-    """Take it out again."""
+    """Remove the submenu."""
     bpy.types.VIEW3D_MT_object.remove(draw_entry)
 
 

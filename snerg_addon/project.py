@@ -1,8 +1,8 @@
-"""The project: the folder that belongs to a scene of a .blend file, and what each step left there.
+"""The project: the folder that belongs to a scene of a .blend file, with the results of every step.
 
-A project folder holds `project.json` (whose it is, and which version of field and scene is in use), `status.json` (what is known of
-each result), `fields/001`, `fields/002`, ... and `scenes/001`, ... (a training or a bake never replaces an earlier one), the rendered
-dataset, studies, exports and jobs. owner.py says which folder a scene has.
+A project folder holds `project.json` (its owner, and which versions of field and scene are in use), `status.json` (facts about each
+result), `fields/001`, `fields/002`, ... and `scenes/001`, ... (a training or a bake never replaces an earlier version), the rendered
+dataset, studies, exports and jobs. owner.py says which folder belongs to a scene.
 """
 
 from __future__ import annotations
@@ -18,64 +18,62 @@ import bpy
 
 from ..core.artifact import is_dataset
 from ..core.io.files import cannot_write, folder_bytes, json_bytes, write_bytes
-from .owner import OWNER, absolute, cached_json, folder_of
+from .owner import OWNER, absolute_path, cached_json, project_folder
 
-VERSIONS = {
-    "field": ("fields", "field.npz"),
-    "scene": ("scenes", "scene.json"),
-}  # folder, and a version's mark
+VERSIONS = {"field": ("fields", "field.npz"), "scene": ("scenes", "scene.json")}
+"""The steps with versions: the folder of the versions, and the file that each version holds."""
 
 
 @dataclass(frozen=True)
 class Project:
-    """`folder` holds everything; `dataset` may lie elsewhere, where the artist brings photographs."""
+    """The paths and facts of a project. folder: the project folder. dataset: to train on, which may lie elsewhere."""
 
     folder: Path
     dataset: Path
 
     @property
     def own_dataset(self) -> Path:
-        """Where a rendered dataset goes."""
+        """The rendered dataset."""
         return self.folder / "dataset"
 
     @property
     def field(self) -> Path:
-        """The trained or imported field that is in use."""
+        """The version of the field that is in use."""
         return self.in_use("field")
 
     @property
     def scene(self) -> Path:
-        """The baked scene that is in use."""
+        """The version of the baked scene that is in use."""
         return self.in_use("scene")
 
     @property
     def reference(self) -> Path:
-        """The scene in the reference PNG layout."""
+        """The export in the PNG layout of the reference implementation."""
         return self.folder / "reference"
 
     @property
     def web(self) -> Path:
-        """The web bundle."""
+        """The exported web page."""
         return self.folder / "web"
 
     @property
     def studies(self) -> Path:
-        """Studies, a folder each."""
+        """The folder of the studies."""
         return self.folder / "studies"
 
     @property
     def survey(self) -> Path:
-        """The look at the field that estimates are made from."""
+        """The field probe, from which estimates are made."""
         return self.folder / "survey.npz"
 
     @property
     def box(self) -> Path:
-        """The box as the last bake or estimate used it, JSON."""
+        """The box of the last bake or estimate, JSON."""
         return self.folder / "box.json"
 
     @property
     def cameras(self) -> Path:
-        """The cameras of the last export, as a transforms file."""
+        """The cameras of the last web page, as a transforms.json."""
         return self.folder / "cameras.json"
 
     @property
@@ -83,7 +81,7 @@ class Project:
         return self.folder / "status.json"
 
     def has(self, step: str) -> bool:
-        """Whether the work of 'dataset', 'field', 'scene', 'reference' or 'web' is there."""
+        """Whether the result of a step exists: 'dataset', 'field', 'scene', 'reference' or 'web'."""
         if step == "dataset":
             return is_dataset(self.dataset)
         if step in VERSIONS:
@@ -92,7 +90,7 @@ class Project:
         return marks[step].is_file()
 
     def versions(self, step: str) -> list[Path]:
-        """Every version of 'field' or 'scene', the oldest first; one that an earlier SNeRG left in `field` or `scene` comes before all."""
+        """The versions of 'field' or 'scene', the oldest first. Version 0.1 had only one, in the folder `field` or `scene`."""
         name, mark = VERSIONS[step]
         try:
             numbered = sorted(path for path in (self.folder / name).iterdir() if path.name.isdigit())
@@ -101,17 +99,17 @@ class Project:
         return [path for path in (self.folder / step, *numbered) if (path / mark).is_file()]
 
     def in_use(self, step: str) -> Path:
-        """The version that the artist or the last finished work chose; the newest where that is gone. It need not be there."""
+        """The version in use: chosen by the artist, or made last; the newest where that was deleted. It may not exist yet."""
         there = self.versions(step)
         chosen = self.folder / str(self._used().get(step, ""))
         return chosen if chosen in there else there[-1] if there else self.folder / step
 
     def use(self, step: str, version: Path) -> None:
-        """Put a version of 'field' or 'scene' in use. Raises SnergError when the folder cannot be written."""
+        """Choose the version of 'field' or 'scene' that is in use. Raises SnergError when the folder cannot be written."""
         self._write_owner(use={**self._used(), step: self.key(version)})
 
     def new_version(self, step: str) -> Path:
-        """An empty folder for a new version, behind all others. Raises SnergError when it cannot be made."""
+        """Make an empty folder for a new version, with the next number. Raises SnergError when it cannot be made."""
         folder = self.folder / VERSIONS[step][0]
         number = 1 + max((int(path.name) for path in folder.glob("*") if path.name.isdigit()), default=0)
         while True:
@@ -125,28 +123,28 @@ class Project:
                 raise cannot_write(path, error) from error
 
     def version_made(self, step: str, path: str) -> Path:
-        """Where a version lies that a job wrote to `path`: the project may have been moved since."""
+        """The folder of a version that a job wrote to `path`, which the project may have left since."""
         name = Path(path).name
         return self.folder / step if name == step else self.folder / VERSIONS[step][0] / name
 
     def name_of(self, version: Path) -> str:
-        """What the artist calls a version; its number where it has no name."""
+        """The name that the artist gave a version; its number where there is none."""
         names = cached_json(self.folder / OWNER).get("names")
         name = names.get(self.key(version)) if isinstance(names, Mapping) else None
         return str(name)[:80] if name else version.name
 
     def rename(self, version: Path, name: str) -> None:
-        """Call a version something; '' takes its name back. Raises SnergError when the folder cannot be written."""
+        """Give a version a name; '' removes it. Raises SnergError when the folder cannot be written."""
         names = cached_json(self.folder / OWNER).get("names")
         kept = dict(names) if isinstance(names, Mapping) else {}
         self._write_owner(names={**kept, self.key(version): name.strip()})
 
     def note_settings(self, version: Path, arguments: list[str]) -> None:
-        """Remember the options of the command line that a version is made with. Raises SnergError when the folder cannot be written."""
+        """Record the command-line options that a version is made with. Raises SnergError when the folder cannot be written."""
         self.note(f"settings of {self.key(version)}", {"arguments": arguments})
 
     def settings_of(self, version: Path) -> str:
-        """'preset fast, seed 0, minutes 5': what a version was made with; '' where that is not known. Never raises."""
+        """'preset fast, seed 0, minutes 5': the options that a version was made with; '' where they are not known. Never raises."""
         note = cached_json(self._notes).get(f"settings of {self.key(version)}")
         arguments = note.get("arguments") if isinstance(note, dict) else None
         words = " ".join(str(part) for part in arguments) if isinstance(arguments, list) else ""
@@ -154,7 +152,7 @@ class Project:
         return ", ".join(option for option in options if option)
 
     def key(self, path: Path) -> str:
-        """A result's path within the project, by which its facts are noted."""
+        """The path of a result within the project, which is its key in status.json."""
         return path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else path.as_posix()
 
     def _used(self) -> dict[str, Any]:
@@ -165,17 +163,17 @@ class Project:
         write_bytes(self.folder / OWNER, json_bytes({**cached_json(self.folder / OWNER), **changes}))
 
     def note(self, step: str, facts: dict[str, Any]) -> None:
-        """Remember what a step came to, for the panels. Raises SnergError when the folder cannot be written."""
+        """Record facts about a step's result in status.json, with the time. Raises SnergError when the folder cannot be written."""
         notes = {**cached_json(self._notes), step: {**facts, "when": time.strftime("%Y-%m-%d %H:%M")}}
         write_bytes(self._notes, json_bytes(notes))
 
     def note_of(self, version: Path) -> dict[str, Any]:
-        """What `remember` noted of a version, {} where it noted nothing: it was stopped, or is not from here. Never raises."""
+        """The facts that `remember` recorded about a version; {} where there are none, as for a stopped training. Never raises."""
         found = cached_json(self._notes).get(self.key(version))
         return found if isinstance(found, dict) else {}
 
     def notes(self) -> dict[str, Any]:
-        """What `note` remembered, a step a key: of 'field' and 'scene' that of the version in use. Never raises."""
+        """The facts about each step's result, by step; for 'field' and 'scene' about the version in use. Never raises."""
         notes = {key: value for key, value in cached_json(self._notes).items() if isinstance(value, dict)}
         for step in VERSIONS:
             if known := self.note_of(self.in_use(step)):
@@ -186,22 +184,22 @@ class Project:
 
 
 def no_dataset(project: Project, name: str = "") -> str:
-    """What is wrong with the folder to train on, in a sentence; '' where it holds a dataset. name: what to call it; its path where ''."""
+    """A sentence that says why the folder to train on is no dataset; '' where it is one. name: shown in place of its path."""
     if project.has("dataset"):
         return ""
     return f"{name or project.dataset} holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there"
 
 
 def project_of(scene: bpy.types.Scene) -> Project:
-    """The scene's project (see owner.py for its folder)."""
-    folder = folder_of(scene)
-    return Project(folder, absolute(scene.snerg.dataset, scene) if scene.snerg.dataset else folder / "dataset")
+    """The project of a scene."""
+    folder = project_folder(scene)
+    return Project(folder, absolute_path(scene.snerg.dataset, scene) if scene.snerg.dataset else folder / "dataset")
 
 
 def remember(project: Project, step: str, folder: Path, facts: dict[str, Any], **more: Any) -> None:
-    """Note a result's simple facts, `more` that are JSON values of any kind, and the size of what is in `folder`.
+    """Record a result in `folder`: the strings, numbers and booleans among `facts`, the JSON values `more`, and its size in bytes.
 
-    A version of 'field' or 'scene' is in use from here on. Raises SnergError when the project cannot be written.
+    A version of 'field' or 'scene' is in use from now on. Raises SnergError when the project cannot be written.
     """
     simple = {key: value for key, value in facts.items() if isinstance(value, str | int | float | bool)}
     noted = {**simple, **more, "bytes": folder_bytes(folder)}

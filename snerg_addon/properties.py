@@ -1,4 +1,4 @@
-"""What the artist sets, one group on the scene. Blender reads these annotations as values, hence no postponed evaluation here."""
+"""The settings of a scene, one property group. Blender reads these annotations as values, hence no postponed evaluation here."""
 
 # mypy: disable-error-code="valid-type"
 
@@ -8,10 +8,14 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, PointerProperty, StringProperty
 
-# Blender 5 marks a path that starts with // red unless it is said to be one that may.
+from ..core.data.dataset import DatasetOptions
+from ..core.data.rig import RigSettings
+from ..core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
+
+# Blender 5 shows a path that starts with // in red unless the property has this option.
 RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0) else set()
 
-LOSSY = ("jpeg", "avif")  # of the codecs below, those that have a quality
+LOSSY = tuple(name for name in SUFFIXES if name not in LOSSLESS)
 
 
 def _is_empty(_settings: Any, thing: bpy.types.Object) -> bool:
@@ -23,19 +27,17 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
 
     folder: StringProperty(
         name="Project Folder",
-        description="Where the dataset, the fields, the baked scenes and the exports go. "
-        "Empty: a folder of this file and scene, beside the .blend",
+        description="Where the dataset, the fields, the baked scenes and the exports are stored. "
+        "Empty: a folder for this file and scene, beside the .blend",
         subtype="DIR_PATH",
         options=RELATIVE_PATHS,
         default="",
     )
-    project_id: StringProperty(
-        name="Project", description="Tells this scene's project from those of copies", options={"HIDDEN"}, default=""
-    )
+    project_id: StringProperty(name="Project", description="Identifies this scene's project", options={"HIDDEN"}, default="")
     dataset: StringProperty(
         name="Dataset",
-        description="What to train on: a folder with a transforms.json, poses_bounds.npy or COLMAP model and its images. "
-        "Empty: what was rendered into the project folder",
+        description="The dataset to train on: a folder with images and a transforms.json, poses_bounds.npy or COLMAP model. "
+        "Empty: the dataset rendered from this scene",
         subtype="DIR_PATH",
         options=RELATIVE_PATHS,
         default="",
@@ -43,53 +45,52 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
 
     cameras: EnumProperty(
         name="Cameras",
-        description="Where the views are rendered from",
+        description="The cameras to render the dataset from",
         items=[
             ("ALL", "All", "Every camera of the scene"),
             ("SELECTED", "Selected", "The selected cameras"),
-            ("RIG", "Rig", "Cameras spread evenly round the box, with the scene's resolution"),
+            ("RIG", "Rig", "Cameras spread evenly around the box, with the scene's resolution"),
         ],
         default="ALL",
     )
     test_every: IntProperty(
         name="Hold Out Every",
-        description="Every n-th view is kept out of training, to measure the quality on, where the dataset does not say which. "
-        "0 keeps none out",
-        default=8,
+        description="Use every n-th view to measure the quality instead of training on it, unless the dataset says which. 0: hold out none",
+        default=DatasetOptions.holdout,
         min=0,
         soft_max=20,
     )
     downscale: IntProperty(
         name="Downscale",
-        description="Train on pictures this many times smaller along each side: faster, and less sharp",
-        default=1,
+        description="Train on images this many times smaller in width and height: faster, but less sharp",
+        default=DatasetOptions.downscale,
         min=1,
         soft_max=8,
         max=64,
     )
-    rig_count: IntProperty(name="Cameras", description="How many cameras the rig has", default=100, min=1, soft_max=500)
+    rig_count: IntProperty(name="Cameras", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
     rig_shape: EnumProperty(
         name="Shape",
-        description="Where the rig's cameras stand",
+        description="Where the rig's cameras are placed",
         items=[
-            ("HEMISPHERE", "Hemisphere", "Above the middle of the box: for things that stand on the ground"),
-            ("SPHERE", "Sphere", "All round the box"),
+            ("HEMISPHERE", "Hemisphere", "Above the centre of the box: for objects that stand on the ground"),
+            ("SPHERE", "Sphere", "All around the box"),
         ],
         default="HEMISPHERE",
     )
     rig_angle: FloatProperty(
         name="Field of View",
-        description="Field of view of the rig's cameras across the shorter side of the picture",
+        description="Field of view of the rig's cameras along the shorter side of the image",
         subtype="ANGLE",
-        default=math.radians(40),
+        default=RigSettings.angle,
         min=math.radians(1),
         max=math.radians(150),
     )
     rig_distance: FloatProperty(
         name="Distance",
-        description="From the middle of the box to the rig's cameras. 0: so that the whole box just fits into the picture",
+        description="Distance of the rig's cameras from the centre of the box. 0: the whole box just fits into the image",
         subtype="DISTANCE",
-        default=0.0,
+        default=RigSettings.distance,
         min=0.0,
     )
 
@@ -97,39 +98,39 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Preset",
         description="The kind of field to train",
         items=[
-            ("fast", "Fast", "A hash grid with a small network: good in minutes on a CPU"),
-            ("mlp", "MLP", "A network as in the paper, on the samples of Fast: to compare with"),
-            ("paper-small", "Paper, Small", "The smaller networks of the paper, coarse and fine: hours on a GPU"),
-            ("paper", "Paper", "The large networks of the paper, coarse and fine: many hours on several GPUs"),
+            ("fast", "Fast", "A hash grid with a small network: good results in minutes on a CPU"),
+            ("mlp", "MLP", "A network like the paper's, with the sampling of Fast: for comparison"),
+            ("paper-small", "Paper, Small", "The paper's method with smaller networks: hours on a GPU"),
+            ("paper", "Paper", "The paper's method with its full networks: many hours on several GPUs"),
         ],
         default="fast",
     )
     view_dependence: EnumProperty(
         name="View Dependence",
-        description="What may look different from different sides",
+        description="How colours may change with the viewing direction",
         items=[
-            ("auto", "Auto", "Deferred or diffuse, whichever the pictures call for"),
-            ("deferred", "Deferred", "Highlights from one small network a pixel, as a baked scene has them"),
-            ("diffuse", "Diffuse", "None: the smallest and fastest scenes"),
-            ("sample", "Per Sample", "NeRF's own, at every sample. It cannot be baked: to compare with"),
-            ("tiny", "Tiny, per Sample", "The small network at every sample. It cannot be baked: to compare with"),
+            ("auto", "Auto", "Deferred or Diffuse, as a test on the images decides"),
+            ("deferred", "Deferred", "Highlights from a small network, evaluated once per pixel, as in the baked scene"),
+            ("diffuse", "Diffuse", "No highlights: the smallest and fastest scenes"),
+            ("sample", "Per Sample", "NeRF's network at every sample. Cannot be baked; for comparison"),
+            ("tiny", "Per Sample, Small", "The small network at every sample. Cannot be baked; for comparison"),
         ],
         default="auto",
     )
     train_background: EnumProperty(
         name="Background",
-        description="What stands behind the transparent parts of the pictures in training",
+        description="What is behind the transparent parts of the images in training",
         items=[
             ("white", "White", ""),
             ("black", "Black", ""),
-            ("random", "Random", "Another colour each time: what is transparent becomes empty"),
-            ("colour", "Colour", "One of your own"),
+            ("random", "Random", "A new colour each time, so that transparent parts become empty space"),
+            ("colour", "Colour", "A colour of your choice"),
         ],
         default="white",
     )
     train_colour: FloatVectorProperty(
         name="Colour",
-        description="What stands behind the transparent parts of the pictures in training",
+        description="The colour behind the transparent parts of the images in training",
         subtype="COLOR_GAMMA",
         size=3,
         default=(0.5, 0.5, 0.5),
@@ -138,7 +139,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     minutes: FloatProperty(
         name="Minutes",
-        description="How long to train. Training again continues from where it stopped",
+        description="How long to train. An unfinished training continues with the time that is left",
         default=5.0,
         min=0.05,
         soft_max=60.0,
@@ -147,23 +148,24 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     steps: IntProperty(
         name="Steps",
-        description="Train this many steps instead of a time, so that the result can be repeated exactly. 0: go by the minutes",
+        description="Train for a number of steps instead of minutes, so that the result can be repeated exactly. 0: use Minutes",
         default=0,
         min=0,
         soft_max=100000,
     )
-    seed: IntProperty(name="Seed", description="Of everything random in training: the same seed gives the same field", default=0, min=0)
+    seed: IntProperty(name="Seed", description="Random seed of the training: the same seed and steps give the same field", default=0, min=0)
 
     box: PointerProperty(
         name="Box",
-        description="The empty whose cube is baked. Only what is inside becomes part of the baked scene",
+        description="The empty whose cube is baked. Only what is inside it becomes part of the baked scene",
         type=bpy.types.Object,
         poll=_is_empty,
     )
 
     resolution: IntProperty(
         name="Voxels",
-        description="Voxels along the longest side of the box. Twice as many show half the detail size and take about six times the memory",
+        description="Number of voxels along the longest side of the box. Twice the number shows details half the size "
+        "and takes about six times the memory",
         default=256,
         min=8,
         max=2048,
@@ -172,21 +174,21 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     study_minutes: FloatProperty(
         name="Minutes",
-        description="How long a study may measure. What does not fit is measured when it is started again",
+        description="How long the study may run. Start it again to measure what is left",
         default=10.0,
         min=0.5,
         soft_max=60.0,
     )
     target_db: FloatProperty(
         name="Target dB",
-        description="Bake the cheapest configuration measured that is at least so good on held-out views. 0: bake none",
+        description="Bake the smallest and fastest configuration that reaches this PSNR on held-out views. 0: bake none",
         default=0.0,
         min=0.0,
         soft_max=45.0,
     )
     voxel_size: FloatProperty(
         name="Voxel Size",
-        description="How large a voxel is, in place of their number. 0: go by the number",
+        description="Size of a voxel, instead of the number of voxels. 0: use Voxels",
         subtype="DISTANCE",
         default=0.0,
         min=0.0,
@@ -195,8 +197,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     samples: IntProperty(
         name="Samples",
-        description="Samples of the field in each voxel. More give smoother edges and take longer. "
-        "0: as many as turn out to be worth their time",
+        description="Samples of the field per voxel. More give smoother edges and take longer. 0: chosen automatically",
         default=0,
         min=0,
         soft_max=16,
@@ -204,14 +205,14 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     refine: BoolProperty(
         name="Refine Highlights",
-        description="Afterwards train the view-dependence network on the baked scene, so that highlights match the photographs again",
+        description="After baking, fine-tune the highlights on the training images, because voxels change them slightly",
         default=True,
     )
 
-    transparent: BoolProperty(name="Transparent", description="Leave the preview's background transparent", default=False)
+    transparent: BoolProperty(name="Transparent", description="Render the preview with a transparent background", default=False)
     background: FloatVectorProperty(
         name="Background",
-        description="What shows behind the baked scene in the preview",
+        description="Colour behind the baked scene in the preview",
         subtype="COLOR_GAMMA",
         size=3,
         default=(1.0, 1.0, 1.0),
@@ -221,7 +222,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
 
     web_cameras: EnumProperty(
         name="Cameras",
-        description="The cameras that the web page lists to jump to",
+        description="Cameras to choose from on the web page",
         items=[
             ("ACTIVE", "Active", "The scene's active camera"),
             ("SELECTED", "Selected", "The selected cameras"),
@@ -230,27 +231,27 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         default="ALL",
     )
     codec: EnumProperty(
-        name="Pictures",
-        description="How the web page's pictures are stored. What is transparent is stored without loss in any case",
+        name="Image Format",
+        description="Format of the web page's images. Opacity is always stored lossless",
         items=[
-            ("scene", "As Baked", "The files of the baked scene as they are"),
-            ("png", "PNG", "Without loss"),
-            ("webp", "WebP", "Without loss, and smaller than PNG"),
-            ("jpeg", "JPEG", "Small, with some loss"),
-            ("avif", "AVIF", "Smallest for the same loss, and slow to write"),
+            ("scene", "As Baked", "The files of the baked scene, unchanged"),
+            ("png", "PNG", "Lossless"),
+            ("webp", "WebP", "Lossless, and smaller than PNG"),
+            ("jpeg", "JPEG", "Small, lossy"),
+            ("avif", "AVIF", "Smallest at the same quality, but slow to write"),
         ],
         default="scene",
     )
     quality: IntProperty(
         name="Quality",
-        description="Of JPEG and AVIF: more keeps more and takes more bytes",
-        default=90,
+        description="Quality of JPEG and AVIF: higher values give larger files",
+        default=CodecSettings.quality,
         min=1,
         max=100,
     )
     single_file: BoolProperty(
-        name="One File",
-        description="Write one .html file that opens straight from the disk, instead of a folder for a web server",
+        name="Single File",
+        description="Write one .html file that opens without a web server, instead of a folder",
         default=False,
     )
 

@@ -1,4 +1,4 @@
-"""What is registered with Blender, in order."""
+"""Registration with Blender."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _commands: list[Any] = []
 
 
 def register() -> None:
-    """Register every class, then what refers to them."""
+    """Register the classes first, then what uses them: properties, menus, keys, handlers and the timer."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
@@ -27,7 +27,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Watch nothing any more, then take everything back in reverse."""
+    """Undo `register`, in reverse order."""
     watch.unregister()
     saving.unregister()
     quit.remove_keys()

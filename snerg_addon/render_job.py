@@ -1,4 +1,4 @@
-"""Rendering a dataset in a process of its own, from a copy of the file: what the window hands over, and what the process does with it."""
+"""Rendering a dataset in another process, from a copy of the file: the side of the window, and the side of the process."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.io.files import json_bytes, read_json, write_bytes
 from ..core.jobs import folder as folders
-from ..core.jobs.protocol import Progress, job_reporter, own_folder, run_job
+from ..core.jobs.protocol import job_reporter, own_folder, run_job
 from ..core.jobs.runner import LAUNCHER, Job, job_environment
+from ..core.progress import Progress
+from ..launcher import RENDER
 from .bridge import resolution
 from .capture import CaptureSettings, Shot, render_dataset
 
-ARGUMENT = "--render-job"  # as launcher.py reads it
 COPY, ORDER = "scene.blend", "render.json"
 
 
 def render_job(
-    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, test_every: int, box: Box | None, goes_on: bool
+    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, test_every: int, box: Box | None, resume: bool
 ) -> Job:
-    """A job that renders what `capture.render_dataset` would now. shots: camera objects of the scene, or the rig round the box.
+    """A job that renders what `capture.render_dataset` would render now. shots: camera objects of the scene, or a rig round the box.
 
-    All is saved for it when it begins: the file as it is in memory, and pictures that are painted and not saved.
-    Raises SnergError then when that cannot be written.
+    `begin` saves a copy of the file with all unsaved changes, and of painted images that were not saved. It raises SnergError where
+    these cannot be written.
     """
     order: dict[str, Any] = {
         "scene": scene.name,
         "folder": str(folder),
         "test_every": test_every,
-        "goes_on": goes_on,
+        "goes_on": resume,
         "box": box.to_json() if box else None,
-        "scripts": not bpy.app.autoexec_fail,  # as they run in this file now
+        "scripts": not bpy.app.autoexec_fail,  # whether scripts run in this file now
     }
     if isinstance(shots, RigSettings):
         order["rig"] = vars(shots)
@@ -50,18 +51,18 @@ def render_job(
         write_bytes(source / ORDER, json_bytes({**order, "images": save_painted(source)}))
         save_copy(source / COPY)
 
-    return Job([*interpreter(), str(LAUNCHER), *(["--"] if bpy.app.binary_path else []), ARGUMENT], job_environment(), prepare)
+    return Job([*interpreter(), str(LAUNCHER), *(["--"] if bpy.app.binary_path else []), RENDER], job_environment(), prepare)
 
 
 def interpreter() -> list[str]:
-    """What runs a script with bpy: this Blender without its window, or the Python whose module it is."""
+    """The command that runs a script with bpy: this Blender in background mode, or Python where bpy is a module."""
     if bpy.app.binary_path:
         return [bpy.app.binary_path, "--background", "-noaudio", "--python-exit-code", "2", "--python"]
     return [sys.executable]
 
 
 def save_copy(path: Path) -> None:
-    """The file as it is in memory, whose relative paths lead to the same files from there. Raises SnergError."""
+    """Save a copy of the file with its unsaved changes and with its relative paths adapted. Raises SnergError."""
     try:
         bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True, relative_remap=True, check_existing=False)
     except RuntimeError as error:
@@ -71,7 +72,7 @@ def save_copy(path: Path) -> None:
 
 
 def save_painted(folder: Path) -> dict[str, str]:
-    """Pictures that were painted and not saved, which a copy of the file does not hold: {name: file in `folder`}. Raises SnergError."""
+    """Save painted images with unsaved changes, which a copy of the file lacks. Returns {name: file in `folder`}. Raises SnergError."""
     saved: dict[str, str] = {}
     for image in bpy.data.images:
         if image.is_dirty and image.users and image.library is None:
@@ -96,7 +97,7 @@ def main() -> int:
 
 
 def render(progress: Progress) -> dict[str, Any]:
-    """Open the copy and render as it was ordered."""
+    """Open the copy and render it. Returns what `capture.render_dataset` does."""
     folder = own_folder()
     assert folder is not None
     source = folder / folders.INPUT
@@ -122,7 +123,7 @@ def ordered_shots(scene: bpy.types.Scene, order: dict[str, Any], box: Box | None
 
 
 def load_painted(folder: Path, images: dict[str, str]) -> None:
-    """Give the pictures that were painted and not saved what they showed."""
+    """Load the images that `save_painted` saved, {name: file in `folder`}."""
     for name, file in images.items():
         image = bpy.data.images[name]
         if image.packed_file:

@@ -1,4 +1,4 @@
-"""What saving a .blend does to its projects (owner.py says which belong to whom)."""
+"""What saving, opening and undo do to the projects of a .blend file (owner.py says which project belongs to which scene)."""
 
 from __future__ import annotations
 
@@ -15,138 +15,140 @@ from ..core.jobs.folder import live_jobs
 from . import activity
 from .owner import (
     OWNER,
-    absolute,
+    absolute_path,
     automatic_folder,
+    blend_path,
     cached_json,
-    folder_of,
     holds_files,
-    move,
+    move_project,
     other_owner,
-    shown,
+    project_folder,
     unsaved_folder,
     unsaved_root,
     write_owner,
 )
 
-_before: dict[str, str] = {}  # of each scene whose setting a save changed: what it was
-_set: dict[int, tuple[str, str]] = {}  # of each scene before an undo, by its session_uid: its project's id and folder
-_refused: set[Path] = set()  # projects that could not be moved; tried again when the file is saved or opened
-_path = ""  # of the file before the save under way
+_old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
+_settings_before_undo: dict[int, tuple[str, str]] = {}  # (project id, folder) by session_uid
+_failed_moves: set[Path] = set()  # folders that could not be moved; tried again when a file is saved or opened
+_path_before_save = ""  # of the open file, while it is being saved
 
 
-def own_scenes() -> Iterator[bpy.types.Scene]:
-    """The scenes that this file holds itself."""
+def local_scenes() -> Iterator[bpy.types.Scene]:
+    """The scenes of this file that are not linked from a library."""
     return (scene for scene in bpy.data.scenes if scene.path_resolve("library") is None)
 
 
 @persistent
 def before_saving(filepath: Any, *_unused: Any) -> None:
-    """Let the file that is written know where its projects are, from where it lies: a file never saved before gets a place for them."""
-    global _path
-    _before.clear()
-    _path = bpy.data.filepath
+    """Set the project folders as the file to be written needs them: relative to it, and beside it if it was never saved before."""
+    global _path_before_save
+    _old_folders.clear()
+    _path_before_save = bpy.data.filepath
     path = str(filepath or "")
     if not path:
         return
     start = os.path.dirname(os.path.abspath(path))
-    for scene in own_scenes():
+    for scene in local_scenes():
         old = scene.snerg.folder
         if not bpy.data.filepath:
             if (unsaved_folder(scene) / OWNER).is_file() and (not old or old.startswith("//")):
-                _before[scene.name], scene.snerg.folder = old, shown(automatic_folder(scene, path, empty=True), start)
+                _old_folders[scene.name], scene.snerg.folder = old, blend_path(automatic_folder(scene, path, empty=True), start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
-            _before[scene.name], scene.snerg.folder = old, shown(absolute(old, scene), start)
+            _old_folders[scene.name], scene.snerg.folder = old, blend_path(absolute_path(old, scene), start)
 
 
 @persistent
 def after_saving(*_unused: Any) -> None:
-    """Take the projects along where the artist goes on with the new file; where it was a copy, everything is as it was."""
-    copy = bpy.data.filepath == _path
-    for name, old in _before.items():
+    """After Save As the projects belong to the new file; after Save Copy all settings are restored."""
+    copy = bpy.data.filepath == _path_before_save
+    for name, old in _old_folders.items():
         if copy and name in bpy.data.scenes:
             bpy.data.scenes[name].snerg.folder = old
-    _before.clear()
+    _old_folders.clear()
     if not copy:
-        for scene in own_scenes():
-            if _path and scene.snerg.folder:
-                take_along(scene, Path(_path))
-    _refused.clear()
-    settle_all()
+        for scene in local_scenes():
+            if _path_before_save and scene.snerg.folder:
+                transfer_project(scene, Path(_path_before_save))
+    _failed_moves.clear()
+    move_saved_projects()
 
 
-def take_along(scene: bpy.types.Scene, old_file: Path) -> None:
-    """After Save As: a project of the scene in the old file is the new file's."""
-    folder = absolute(scene.snerg.folder, scene)
+def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
+    """After Save As: make the new file the owner of a project that the scene owned in the old file."""
+    folder = absolute_path(scene.snerg.folder, scene)
     owner = cached_json(folder / OWNER)
     if owner.get("id") == scene.snerg.project_id and Path(os.path.abspath(folder / str(owner.get("blend")))) == old_file:
         try:
             write_owner(folder, scene)
         except SnergError as error:
-            activity.say(folder_of(scene), str(error), False)
+            activity.report(project_folder(scene), str(error), False)
 
 
 @persistent
 def after_loading(*_unused: Any) -> None:
-    """Another file is open. What a crash kept from moving moves now."""
-    _refused.clear()
-    settle_all()
+    """Another file was opened: move its projects that are still waiting to be moved, as after a crash."""
+    _failed_moves.clear()
+    move_saved_projects()
 
 
 @persistent
 def before_undo(*_unused: Any) -> None:
-    """What a job or an operator sets is no step of undo: see what is set now."""
-    _set.clear()
-    _set.update({scene.session_uid: (scene.snerg.project_id, scene.snerg.folder) for scene in own_scenes() if scene.snerg.project_id})
+    """Remember the project settings, which are not part of an undo step: jobs and operators set them."""
+    _settings_before_undo.clear()
+    for scene in local_scenes():
+        if scene.snerg.project_id:
+            _settings_before_undo[scene.session_uid] = (scene.snerg.project_id, scene.snerg.folder)
 
 
 @persistent
 def after_undo(*_unused: Any) -> None:
-    """An undo to before a scene had a project takes nothing but settings away: the project stays the scene's."""
-    for scene in own_scenes():
-        project_id, folder = _set.get(scene.session_uid, ("", ""))
+    """Restore the project settings that undo took away, so that a scene keeps its project."""
+    for scene in local_scenes():
+        project_id, folder = _settings_before_undo.get(scene.session_uid, ("", ""))
         if project_id:
             scene.snerg.project_id = project_id
             if bpy.data.filepath and not scene.snerg.folder:
                 scene.snerg.folder = folder
 
 
-def settle_all() -> None:
-    """Move the projects of a file that was saved to beside it; those with jobs that run, when these have ended."""
+def move_saved_projects() -> None:
+    """Move the projects of a file that was never saved before beside it; projects with running jobs when these have ended."""
     if bpy.data.filepath:
-        for scene in own_scenes():
-            settle(scene)
+        for scene in local_scenes():
+            move_saved_project(scene)
 
 
-def settle(scene: bpy.types.Scene) -> None:
-    """Move one project."""
-    waiting = unsaved_folder(scene)
-    if waiting in _refused:
+def move_saved_project(scene: bpy.types.Scene) -> None:
+    """Move the scene's project beside the file, if it is not there yet and nothing runs in it. The panel reports the outcome."""
+    source = unsaved_folder(scene)
+    if source in _failed_moves:
         return
-    if not scene.snerg.project_id or not (waiting / OWNER).is_file() or live_jobs(waiting) or activity.current(waiting):
+    if not scene.snerg.project_id or not (source / OWNER).is_file() or live_jobs(source) or activity.current(source):
         return
-    explicit = scene.snerg.folder
-    target = absolute(explicit, scene) if explicit and not other_owner(absolute(explicit, scene), scene) else automatic_folder(scene)
+    chosen = scene.snerg.folder
+    target = absolute_path(chosen, scene) if chosen and not other_owner(absolute_path(chosen, scene), scene) else automatic_folder(scene)
     if holds_files(target):
         target = automatic_folder(scene, empty=True)
     manager = bpy.context.window_manager
     manager.progress_begin(0, 100)
     try:
-        move(waiting, target, lambda fraction, message: manager.progress_update(100 * fraction))
-        scene.snerg.folder = shown(target)
+        move_project(source, target, lambda fraction, message: manager.progress_update(100 * fraction))
+        scene.snerg.folder = blend_path(target)
         write_owner(target, scene)
-        activity.say(target, f"The project was moved to {target}.", True)
+        activity.report(target, f"The project was moved to {target}.", True)
     except SnergError as error:
-        _refused.add(waiting)
-        activity.say(waiting, f"The project stays in {waiting}: {error}", False)
+        _failed_moves.add(source)
+        activity.report(source, f"The project stays in {source}: {error}", False)
     finally:
         manager.progress_end()
 
 
-def forgotten() -> list[Path]:
-    """Projects of files that were never saved and are not open, the newest first."""
-    ours = {scene.snerg.project_id for scene in bpy.data.scenes}
+def orphaned_projects() -> list[Path]:
+    """The project folders of files that were never saved and are not open, the newest first."""
+    open_ids = {scene.snerg.project_id for scene in bpy.data.scenes}
     try:
-        folders = [path for path in unsaved_root().iterdir() if (path / OWNER).is_file() and path.name not in ours]
+        folders = [path for path in unsaved_root().iterdir() if (path / OWNER).is_file() and path.name not in open_ids]
     except OSError:
         return []
     return sorted(folders, key=lambda path: (path / OWNER).stat().st_mtime, reverse=True)
@@ -164,13 +166,13 @@ HANDLERS = (
 
 
 def register() -> None:
-    """Listen to saving and loading."""
+    """Add the handlers."""
     for handlers, handler in HANDLERS:
         handlers.append(handler)
 
 
 def unregister() -> None:
-    """Listen no more."""
+    """Remove the handlers."""
     for handlers, handler in HANDLERS:
         if handler in handlers:
             handlers.remove(handler)

@@ -36,4 +36,5 @@ def _mix(x: NDArray[Any]) -> NDArray[Any]:
     """The mixing function of splitmix64, elementwise on uint64."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(MIX_1)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(MIX_2)
-    return x ^ (x >> np.uint64(31))
+    mixed: NDArray[Any] = x ^ (x >> np.uint64(31))
+    return mixed

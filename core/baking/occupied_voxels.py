@@ -143,4 +143,5 @@ def coarse_opacity(depth: NDArray[Any]) -> NDArray[Any]:
     for axis in (1, 2, 3):
         even, odd = ((slice(None),) * axis + (slice(start, None, 2),) for start in (0, 1))
         transmittance = (transmittance[even] + transmittance[odd]) / 2
-    return np.ceil((1 - np.square(transmittance)) * 255 - 1e-3).clip(0, 255).astype(np.uint8)
+    level: NDArray[Any] = np.ceil((1 - np.square(transmittance)) * 255 - 1e-3)
+    return level.clip(0, 255).astype(np.uint8)

@@ -1,1 +1,1 @@
-"""Long work in a process of its own."""
+"""Long tasks: their states, jobs in processes of their own, and how work is stopped."""

@@ -1,16 +1,16 @@
-"""A job's folder: what was asked, what it says, whether it lives, and whose turn it is.
+"""A job's folder, from which any process can tell what the job does and whether it runs.
 
 `<project>/jobs/<time-ordered name>/` holds
 
-    job.json      the record: label, step, operator, scene, arguments, when and where it was started
-    events.jsonl  what the job says (see protocol.py)
+    job.json      the record: label, step, operator, scene, command, when and where it was started
+    events.jsonl  the job's standard output (see protocol.py)
     log.txt       its standard error
-    stop          there once it was asked to stop
-    lock          locked by the job's own process while it lives: the system lets go of it however the process ends
-    taken         there once its result was taken in
-    input         a folder of what it needs, deleted when it ends
+    stop          exists once the job was asked to stop
+    lock          locked by the job's process while it runs; the system releases the lock however the process ends
+    taken         exists once somebody has handled the job's result
+    input         files that the job needs, deleted when it ends
 
-`<project>/jobs/turn` is locked by the job whose turn it is. Jobs of one project run one after another, in the order of their names.
+`<project>/jobs/turn` is locked by the job that runs. Jobs of one project run one after another, in the order of their names.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ..errors import SnergError
 from ..io.files import cannot_write, json_bytes
 from ..io.lock import try_lock
 
-VARIABLE = "SNERG_JOB"  # of the environment: a job's own folder
+VARIABLE = "SNERG_JOB"  # environment variable of a job's process: its folder
 JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
     "jobs",
     "job.json",
@@ -41,15 +41,16 @@ JOBS, RECORD, EVENTS, LOG, STOP, LOCK, TAKEN, TURN, INPUT = (
     "turn",
     "input",
 )
-STARTING_SECONDS = 60.0  # a process may take from its start until it has locked its lock
-KEPT = 20  # folders of jobs that ended and were taken in
-MAX_RECORD = 2**24  # bytes
+STARTING_SECONDS = 60.0  # within which a job that was started has to lock its lock
+KEPT = 20  # folders of ended and taken jobs that `prune` leaves, for their logs
+MAX_RECORD = 2**24  # bytes of job.json that are read
 
 
 def new_job(project: Path, record: Mapping[str, Any], prepare: Callable[[Path], None] | None = None) -> Path:
-    """A folder for a new job behind all others, whole or not there. prepare: writes what else the job needs into it.
+    """Make the folder of a new job, after all others in their order. It appears complete or not at all.
 
-    Raises SnergError when it cannot be written.
+    record: for job.json. prepare: called with the folder before it appears, to write files that the job needs. Raises SnergError where
+    the folder cannot be written.
     """
     jobs = project / JOBS
     temporary = jobs / f".new-{uuid.uuid4().hex[:8]}"
@@ -71,7 +72,7 @@ def new_job(project: Path, record: Mapping[str, Any], prepare: Callable[[Path], 
 
 
 def job_folders(project: Path) -> list[Path]:
-    """Every job's folder, the oldest first. Never raises."""
+    """The folders of all jobs of a project, the oldest first. Never raises."""
     try:
         names = sorted(entry.name for entry in os.scandir(project / JOBS) if entry.is_dir() and not entry.name.startswith("."))
     except OSError:
@@ -80,12 +81,12 @@ def job_folders(project: Path) -> list[Path]:
 
 
 def live_jobs(project: Path) -> list[Path]:
-    """Those that run or wait."""
+    """The folders of the jobs that run or wait."""
     return [folder for folder in job_folders(project) if is_alive(folder)]
 
 
 def read_record(folder: Path) -> dict[str, Any]:
-    """What was asked; {} where it cannot be read. Never raises."""
+    """The record of a job; {} where it cannot be read. Never raises."""
     try:
         with open(folder / RECORD, "rb") as file:
             value = json.loads(file.read(MAX_RECORD))
@@ -95,12 +96,12 @@ def read_record(folder: Path) -> dict[str, Any]:
 
 
 def label_of(folder: Path) -> str:
-    """What a job is called ('Training')."""
+    """The label of a job ('Training')."""
     return str(read_record(folder).get("label", "another job"))[:80]
 
 
 def is_alive(folder: Path) -> bool:
-    """Whether a job's process lives, or was started a moment ago and has not locked its lock yet."""
+    """Whether a job's process runs, or was started less than STARTING_SECONDS ago and has not locked its lock yet."""
     lock = folder / LOCK
     try:
         if lock.stat().st_size:
@@ -112,7 +113,7 @@ def is_alive(folder: Path) -> bool:
 
 
 def take(folder: Path) -> bool:
-    """Mark a job's result as taken in; False when it was already, so that each is taken once whoever looks."""
+    """Mark a job's result as taken. Returns False where it was already, so that each result is handled only once."""
     try:
         (folder / TAKEN).touch(exist_ok=False)
     except OSError:
@@ -121,16 +122,16 @@ def take(folder: Path) -> bool:
 
 
 def prune(project: Path) -> None:
-    """Delete the oldest folders of jobs that ended and were taken in."""
+    """Delete the folders of jobs that ended and were taken, except for the newest KEPT."""
     ended = [folder for folder in job_folders(project) if (folder / TAKEN).exists() and not is_alive(folder)]
     for folder in ended[:-KEPT]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def hold(path: Path) -> int | None:
-    """Lock a file without waiting, as long as the returned descriptor is open; None where another has it.
+    """Lock a file without waiting. Returns a descriptor that holds the lock while it is open; None where another process holds it.
 
-    On a disk without locks everybody gets it. Raises SnergError when the file cannot be opened.
+    On a file system without locks every process gets one. Raises SnergError where the file cannot be opened.
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o644)
@@ -143,7 +144,7 @@ def hold(path: Path) -> int | None:
 
 
 def is_held(path: Path) -> bool:
-    """Whether another process has locked the file."""
+    """Whether another process holds the lock of the file."""
     try:
         descriptor = hold(path)
     except SnergError:

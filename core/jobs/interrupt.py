@@ -1,8 +1,8 @@
-"""Stopping long work within a second, whatever it is doing: for Ctrl-C, and for the end of a job's input.
+"""Stopping long work within a second, whatever it is doing: on Ctrl-C, or when a job is asked to stop.
 
-Asked to stop, work ends by itself at its next call of progress. Where it does not get there in time (JAX compiles a step, an
-encoder is slow) a thread beside it ends the process: files are whole or absent at any moment (core/io/files.py), so that this is as
-safe as a kill, and what is half-written is deleted first.
+Work that was asked to stop raises Cancelled at its next call of `progress`. Where that call does not come in time (JAX compiles a step,
+an encoder is slow), another thread ends the process. That is as safe as a kill, because files are always complete or absent
+(core/io/files.py); unfinished temporary files are deleted first.
 """
 
 from __future__ import annotations
@@ -21,29 +21,30 @@ from ..io.files import SAVING, remove_unfinished
 from ..io.lock import remove_locks
 from ..progress import Progress
 
-GRACE = 0.5  # seconds that work has to end by itself
-PATIENCE = 60.0  # seconds that it may take longer to save
-TICK = 0.05  # seconds between two looks
-END = 0  # no signal has this number
+GRACE = 0.5  # seconds from the request to stop in which work may end by itself
+PATIENCE = 60.0  # seconds that a save under way may take longer than that
+TICK = 0.05  # seconds between two checks
+END = 0  # ends the thread that listens; no signal has this number
+STOPPED = "Stopped as you asked; what was finished before is kept."
 
 
 def watched(progress: Progress, asked: threading.Event) -> Progress:
-    """Progress that raises Cancelled once `asked` is set."""
+    """`progress`, but calls raise Cancelled once `asked` is set."""
 
-    def tell(fraction: float, message: str, /) -> None:
+    def report(fraction: float, text: str, /) -> None:
         if asked.is_set():
-            raise Cancelled("Stopped as you asked; what was finished before is kept.")
-        progress(fraction, message)
+            raise Cancelled(STOPPED)
+        progress(fraction, text)
 
-    return tell
+    return report
 
 
 @contextmanager
 def deadline(asked: threading.Event, leave: Callable[[], NoReturn], waiting: Callable[[], None]) -> Iterator[None]:
-    """Around work that may be asked to stop: where it goes on GRACE seconds after `asked` was set and saves nothing, `leave` is called.
+    """Around work that may be asked to stop: call `leave` where the work still runs GRACE seconds after `asked` was set.
 
-    leave: ends the process, see `leave`; called in another thread, as is waiting, when something is being saved then, which may
-    take PATIENCE seconds.
+    leave: ends the process, as the function `leave` does. waiting: called in place of it while something is being saved; `leave` then
+    follows after the save, or after PATIENCE seconds. Both are called in another thread.
     """
     ended = threading.Event()
 
@@ -74,8 +75,10 @@ def deadline(asked: threading.Event, leave: Callable[[], NoReturn], waiting: Cal
 
 @contextmanager
 def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None]:
-    """The first Ctrl-C sets `asked`, the next ones call `again`, in another thread and at once: this one, which must be the main
-    thread, may be in the middle of a long call outside Python."""
+    """The first Ctrl-C sets `asked`, each further one calls `again`, at once and in another thread.
+
+    The thread that enters must be the main thread. It cannot react itself during a long call outside Python.
+    """
     ours, signals = socket.socketpair()
     signals.setblocking(False)
 
@@ -102,8 +105,8 @@ def keyboard(asked: threading.Event, again: Callable[[], None]) -> Iterator[None
         ours.close()
 
 
-def leave(code: int, last_words: Callable[[], None]) -> NoReturn:
-    """Delete what is half-written, say the last words, and end the process, whatever its threads do."""
+def leave(code: int, last_words: Callable[[], object]) -> NoReturn:
+    """Delete unfinished files, call `last_words`, and end the process with exit code `code`, whatever its threads do."""
     remove_unfinished()
     remove_locks()
     last_words()
@@ -111,7 +114,7 @@ def leave(code: int, last_words: Callable[[], None]) -> NoReturn:
 
 
 def end(code: int) -> NoReturn:
-    """End the process without waiting for threads or for libraries that tidy up, which may take seconds."""
+    """End the process without waiting for threads or for the clean-up of libraries, which may take seconds."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError, RuntimeError):
             stream.flush()

@@ -1,17 +1,17 @@
-"""What a job says and hears.
+"""What a job writes while it runs, and how it is asked to stop: the job's own side (runner.py is the other).
 
-A job is a verb of the command line running in a process of its own. It speaks JSON, one object a line, on its standard output,
+A job is a command of the command line that runs in a process of its own. It writes JSON, one object a line, to its standard output,
 which is the file `events.jsonl` of the job's folder (folder.py):
 
-    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these, and of
-    {"progress": 0.0, "message": "...", "note": true}      messages to keep beside those that follow (progress.Note); then one of
-    {"result": {...}}                                      what the verb returns
+    {"progress": 0.25, "message": "Training: 28.1 dB"}     any number of these (progress.ProgressEvent); with "note": true the message
+                                                           stays on the screen, with "waiting": true the job waits for its turn
+    {"result": {...}}                                      what the command returns; exit 0
     {"error": "one sentence"}                              exit 2
     {"cancelled": "one sentence"}                          exit 3
 
-It hears one thing: stop, when the file `stop` appears in its folder, or the folder is gone. A job that somebody waits for
-also stops at the end of its standard input, a pipe that the system closes when the one who waits dies; any other job outlives who
-started it.
+One of the last three is the last line. The job stops when the file `stop` appears in its folder, or when the folder is deleted. An
+attached job, whose starter waits for it, also stops at the end of its standard input, a pipe that the system closes when the starter
+ends; any other job outlives the process that started it.
 """
 
 from __future__ import annotations
@@ -22,86 +22,86 @@ import os
 import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, TextIO
 
 from ..errors import EXIT_ERROR, Cancelled, SnergError
-from ..progress import Note
+from ..progress import Progress, ProgressEvent
 from . import folder as folders
-from .interrupt import PATIENCE, deadline, leave
+from .interrupt import PATIENCE, STOPPED, deadline, leave
+from .task import Outcome, outcome_of
 
 EXIT_CANCELLED = 3
-GRACE_SECONDS = PATIENCE + 15.0  # after which a job that was told to stop, and is not stopped by its `deadline`, is ended
-LISTEN_SECONDS = 0.1  # between looks whether to stop
-TURN_SECONDS = 0.2  # between looks whether it is the job's turn
-LOCK_SECONDS = 5.0  # in which a job's own lock, which others only ever hold to look at it, must be had
-
-
-class Progress(Protocol):
-    """What long work calls as it goes: fraction in 0..1 and a few words. May raise Cancelled."""
-
-    def __call__(self, fraction: float, message: str, /) -> None: ...
+EXIT_CODES = {"done": 0, "failed": EXIT_ERROR, "cancelled": EXIT_CANCELLED}
+GRACE_SECONDS = PATIENCE + 15.0  # from the request to stop until a job is ended that its `deadline` did not end
+UNSAVED = "Stopped; what it had not yet saved is lost."
+LISTEN_SECONDS = 0.1  # between two checks for a request to stop
+TURN_SECONDS = 0.2  # between two checks whether it is the job's turn
+LOCK_SECONDS = 5.0  # to get the job's own lock, which others hold for a moment to see whether the job runs
 
 
 class JobReporter:
-    """The job's side. Call it with (fraction, message): it tells whoever watches, or raises Cancelled.
+    """The `Progress` of a job, which writes each report as a line. Calls raise Cancelled once the job was asked to stop.
 
-    stream: where the lines go. stopping: set when the job shall stop. last_words: the sentence with which it is
-    ended then, if it has not ended by itself.
+    stream: where the lines go. stopping: set when the job should stop. last_words: the error of the outcome when the job has to be
+    ended because it did not stop by itself.
     """
 
     def __init__(self, stream: TextIO, stopping: threading.Event) -> None:
         self.stopping = stopping
-        self.last_words = "Stopped; what it had not yet saved is lost."
+        self.last_words = UNSAVED
         self._stream = stream
         self._lock = threading.Lock()
 
-    def __call__(self, fraction: float, message: str, /) -> None:
+    def __call__(self, fraction: float, text: str, /) -> None:
         """Report progress. Raises Cancelled once the job was asked to stop."""
         self.check()
-        line = {"progress": min(max(float(fraction), 0.0), 1.0), "message": str(message)}
-        self._say({**line, "note": True} if isinstance(message, Note) else line)
+        self._write(ProgressEvent.of(fraction, text).to_json())
+
+    def waiting(self, text: str) -> None:
+        """Report that the job waits for its turn, and for what. Raises Cancelled once the job was asked to stop."""
+        self.check()
+        self._write({**ProgressEvent(0.0, text).to_json(), "waiting": True})
 
     def check(self) -> None:
         """Raise Cancelled once the job was asked to stop."""
         if self.stopping.is_set():
-            raise Cancelled("Stopped as you asked; what was finished before is kept.")
+            raise Cancelled(STOPPED)
 
-    def result(self, value: dict[str, Any]) -> None:
-        """The last line of work that ended well."""
-        self._say({"result": value})
+    def end(self, outcome: Outcome) -> int:
+        """Write the last line, which says how the job ended, and return the exit code for it."""
+        if outcome.state == "done":
+            self._write({"result": outcome.result})
+        else:
+            self._write({"error" if outcome.state == "failed" else "cancelled": outcome.error})
+        return EXIT_CODES[outcome.state]
 
-    def error(self, sentence: str) -> None:
-        """The last line of work that failed."""
-        self._say({"error": sentence})
+    def cancelled(self, sentence: str) -> int:
+        """`end` of a job that was asked to stop."""
+        return self.end(Outcome("cancelled", error=sentence))
 
-    def cancelled(self, sentence: str) -> None:
-        """The last line of work that was stopped."""
-        self._say({"cancelled": sentence})
-
-    def _say(self, line: dict[str, Any]) -> None:
+    def _write(self, line: dict[str, Any]) -> None:
         with self._lock:
             try:
                 self._stream.write(json.dumps(line) + "\n")
                 self._stream.flush()
-            except (OSError, ValueError):  # nobody listens any more, or the disk is full: the same as being told to stop
+            except (OSError, ValueError):  # the reader is gone, or the disk is full: the same as a request to stop
                 self.stopping.set()
 
 
 @functools.cache
 def own_folder() -> Path | None:
-    """The folder of the job that this process is; None where it is none. Processes that it starts are not the job."""
+    """The folder of the job that this process runs; None where it runs none. Child processes do not inherit it."""
     value = os.environ.pop(folders.VARIABLE, None)
     return Path(value) if value else None
 
 
 @functools.cache
 def job_reporter() -> JobReporter:
-    """Take over this process's standard output for the protocol, and listen from here on whether to stop; call early.
+    """Take over this process's standard output for the protocol, and watch for a request to stop from now on; call early.
 
-    Whatever else prints (a library's banner, a C extension) goes to standard error, so that it cannot break a line.
+    Everything else that prints (a library's banner, a C extension) goes to standard error, so that it cannot break a line.
     """
     sys.stdout.flush()
     stream = os.fdopen(os.dup(1), "w", encoding="ascii", newline="\n")
@@ -118,11 +118,11 @@ def job_reporter() -> JobReporter:
 
 @functools.cache
 def await_turn() -> int:
-    """Wait until no older job of the project lives. Returns 0 when it is this job's turn, EXIT_CANCELLED when it shall stop.
+    """Wait until no older job of the project runs. Returns 0 when it is this job's turn, EXIT_CANCELLED when it was asked to stop.
 
-    Call it before anything heavy is imported: a job that waits is small.
+    Call it before large modules are imported, so that a waiting job needs little memory.
     """
-    reporter, folder, said = job_reporter(), own_folder(), ""
+    reporter, folder, reported = job_reporter(), own_folder(), ""
     if folder is None:
         return 0
     try:
@@ -132,14 +132,13 @@ def await_turn() -> int:
             if older is None and folders.hold(folder.parent / folders.TURN) is not None:  # held until this process ends
                 return 0
             message = f"Waits for {folders.label_of(older) if older else 'another job'}"
-            if message != said:
-                said = message
-                reporter(0.0, message)
+            if message != reported:
+                reported = message
+                reporter.waiting(message)
             reporter.check()
             time.sleep(TURN_SECONDS)
     except (Cancelled, KeyboardInterrupt):
-        reporter.cancelled("Stopped as you asked, before it began.")
-        return EXIT_CANCELLED
+        return reporter.cancelled("Stopped as you asked, before it began.")
 
 
 def _hold_own_lock(folder: Path) -> None:
@@ -148,7 +147,7 @@ def _hold_own_lock(folder: Path) -> None:
         if time.monotonic() > end:
             raise SnergError(f"{folder} is the folder of another job that runs; start the job again.")
         time.sleep(0.02)
-    os.write(descriptor, f"{os.getpid()}\n".encode())  # never closed: the system does
+    os.write(descriptor, f"{os.getpid()}\n".encode())  # stays open: the system closes it when the process ends
 
 
 def _in_background(listen: Callable[..., None], *arguments: Any) -> None:
@@ -156,7 +155,7 @@ def _in_background(listen: Callable[..., None], *arguments: Any) -> None:
 
 
 def _listen(folder: Path, reporter: JobReporter) -> None:
-    """Until the job is asked to stop, or its folder is deleted; then end it, if it does not end itself."""
+    """Wait until the job is asked to stop, or its folder is deleted. End it after GRACE_SECONDS if it did not stop by itself."""
     while folder.exists() and not (folder / folders.STOP).exists():
         time.sleep(LISTEN_SECONDS)
     reporter.stopping.set()
@@ -175,35 +174,20 @@ def _wait_for_end_of_input(reporter: JobReporter) -> None:
 
 
 def _keep_waiting() -> None:
-    """The result is being saved: whoever asked to stop waits for that."""
+    """Called when the result is being saved: the request to stop waits for it, and there is nobody to tell."""
 
 
 def run_job(work: Callable[[Progress], dict[str, Any]]) -> int:
-    """Run `work(progress)` as a job from beginning to end, when its turn has come; returns the exit code (0, 2 or 3).
+    """Wait for the job's turn, run `work(progress)`, and write how it ended. Returns the exit code: 0, 2 (failed) or 3 (cancelled).
 
-    An error that nobody foresaw still ends in one sentence, with its traceback on standard error.
+    An unexpected error ends the job with one sentence too; its traceback goes to standard error.
     """
     reporter = job_reporter()
     if code := await_turn():
         return code
     try:
         with deadline(reporter.stopping, lambda: leave(EXIT_CANCELLED, lambda: reporter.cancelled(reporter.last_words)), _keep_waiting):
-            result = work(reporter)
-    except Cancelled as stop:
-        reporter.cancelled(str(stop))
-        return EXIT_CANCELLED
-    except SnergError as error:
-        reporter.error(str(error))
-    except MemoryError:
-        traceback.print_exc()
-        reporter.error("There was not enough memory; lower the resolution or close other programs, then run it again.")
+            outcome = outcome_of(lambda: work(reporter))
     except KeyboardInterrupt:
-        reporter.cancelled("Stopped from the keyboard.")
-        return EXIT_CANCELLED
-    except Exception as error:
-        traceback.print_exc()
-        reporter.error(f"Something went wrong that should not ({type(error).__name__}: {error}); please report it with the console's text.")
-    else:
-        reporter.result(result)
-        return 0
-    return EXIT_ERROR
+        outcome = Outcome("cancelled", error="Stopped from the keyboard.")
+    return reporter.end(outcome)

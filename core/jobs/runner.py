@@ -1,4 +1,4 @@
-"""The side of who starts a job, or finds one that was started before: watch it, stop it. Nothing here blocks but `wait`."""
+"""The side that starts a job, or finds one that was started before, watches it and stops it."""
 
 from __future__ import annotations
 
@@ -13,67 +13,68 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from ..errors import Cancelled, SnergError
+from ..errors import SnergError
 from ..io.files import cannot_write
-from ..progress import Note
+from ..progress import Progress, ProgressEvent
 from . import folder as folders
-from .protocol import GRACE_SECONDS
+from .protocol import GRACE_SECONDS, UNSAVED
+from .task import POLL_SECONDS, Outcome, Task
 
 LAUNCHER = Path(__file__).resolve().parents[2] / "launcher.py"
 IMPORT_PATH = "SNERG_IMPORT_PATH"  # as launcher.py reads it
-LOG_BYTES = 16384  # of standard error, from its end, for the sentence about a job that died
+LOG_BYTES = 16384  # of standard error, from its end, that are read for the error of a job that died
 
-State = Literal["running", "done", "failed", "cancelled"]
+KILLED = (-9, 137)  # exit codes of a process that was killed: as Popen has it, and as a shell does
+KILLED_FOR_MEMORY = (
+    "The system ended the job, most likely because the memory ran out; lower the resolution or close other programs, then run it again."
+)
 
-_children: set[subprocess.Popen[bytes]] = set()  # which nobody may wait for any more: they outlive who started them
+_children: set[subprocess.Popen[bytes]] = set()  # kept so that their exit codes are collected after their `Job` is gone
 
 
-class Job:
-    """A process that speaks the protocol of `protocol.py` into a folder of its own (folder.py).
+class Job(Task):
+    """A command in a process of its own, which writes its progress to its folder (protocol.py, folder.py).
 
-    `begin` starts it; `found` is one that was started before, by whomever. Read `state`, `fraction` (0..1), `message`, `notes`
-    (which stay beside the messages), `result` and `error` after `poll`.
+    `begin` starts a job; `found` is one that was started before, by this process or another. folder: its folder, None before `begin`.
+    record: the folder's job.json.
     """
 
     def __init__(
         self, command: Sequence[str], environment: Mapping[str, str] | None = None, prepare: Callable[[Path], None] | None = None
     ) -> None:
-        """command: to start. prepare: writes into the job's folder, before it is there, what the command needs."""
-        self.state: State = "running"
-        self.fraction = 0.0
-        self.message = "Starting"
-        self.notes: list[str] = []
-        self.result: dict[str, Any] = {}
-        self.error = ""
+        """command: the program and its arguments. prepare: writes files that the command needs into the folder it is called with."""
+        super().__init__()
         self.folder: Path | None = None
         self.record: dict[str, Any] = {}
         self._command, self._environment, self._prepare = list(command), environment, prepare
         self._process: subprocess.Popen[bytes] | None = None
-        self._cancelled_at: float | None = None
-        self._verdict: tuple[State, Any] | None = None
-        self._read, self._rest = 0, b""
+        self._cancelled_at: float | None = None  # time.monotonic()
+        self._outcome: Outcome | None = None
+        self._read, self._rest = 0, b""  # bytes of the events that were read, and the last line's beginning
 
     @classmethod
     def found(cls, folder: Path) -> Job:
-        """The job of a folder. It may run, wait, or have ended."""
+        """The job of an existing folder. It may wait, run, or have ended."""
         job = cls([])
         job.folder, job.record = folder, folders.read_record(folder)
         if (folder / folders.STOP).exists():
-            job._cancelled_at = time.monotonic()
+            job.state, job._cancelled_at = "cancelling", time.monotonic()
+        else:
+            job.state = "running"
         return job
 
     @property
     def arguments(self) -> list[str]:
-        """What it is asked: two jobs that are asked the same do the same."""
+        """Its command: two jobs with the same command do the same work."""
         return self._command or list(self.record.get("command", []))
 
     def begin(self, project: Path, record: Mapping[str, Any], attached: bool = False) -> Job:
-        """Start it as a job of the project whose folder is given, behind those that are there.
+        """Start the job in the folder `project`; it runs when the older jobs of that project have ended. Returns itself.
 
-        attached: it stops when this process ends, because this process waits for it; else it runs on.
-        Raises SnergError when the folder cannot be written, or the system cannot start it.
+        record: entries of its job.json. attached: the job stops when this process ends; else it runs on.
+        Raises SnergError when the folder cannot be written, or the system cannot start the process.
         """
         self.record = {**record, "command": self._command, "attached": attached, "host": platform.node()}
         self.folder = folders.new_job(project, self.record, self._prepare)
@@ -84,6 +85,7 @@ class Job:
             raise SnergError(f"Cannot start {self._command[0]} ({error.strerror or error}); check Blender's installation.") from error
         _children.difference_update([child for child in _children if child.poll() is not None])
         _children.add(self._process)
+        self.state = "running"
         return self
 
     def _start(self, folder: Path, attached: bool) -> subprocess.Popen[bytes]:
@@ -96,41 +98,32 @@ class Job:
                 stdout=events,
                 stderr=log,
                 env=environment,
-                start_new_session=not attached,  # so that neither a closed terminal nor its Ctrl-C ends it
+                start_new_session=not attached,  # so that neither a closed terminal nor Ctrl-C ends it
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0) | group,
             )
 
-    def poll(self) -> bool:
-        """Take in what the job said since the last call; True while it runs or waits."""
-        if self.state != "running" or self.folder is None:
-            return self.state == "running"
+    def _advance(self) -> None:
+        if self.folder is None:
+            return
         ended = self._process.poll() is not None if self._process else not folders.is_alive(self.folder)
-        self._take_lines()  # after asking whether it ended: its last line is there by then
+        self._read_events()  # after the check whether it ended: its last line is there by then
         if ended:
-            self._settle()
+            self._close(self._outcome or self._silent_end())
         elif self._process and self._cancelled_at is not None and time.monotonic() - self._cancelled_at > 2 * GRACE_SECONDS:
-            self._process.kill()  # so stuck that it could not even end itself
-        return self.state == "running"
+            self._process.kill()  # the job could not even end itself
 
-    def cancel(self) -> None:
-        """Ask the job to stop. It ends by itself within GRACE_SECONDS. Raises SnergError when its folder cannot be written."""
-        if self.state == "running" and self._cancelled_at is None:
-            if self.folder is not None:
-                try:
-                    (self.folder / folders.STOP).touch()
-                except OSError as error:
-                    raise cannot_write(self.folder, error) from error
-            self._cancelled_at = time.monotonic()
-            self.message = "Stopping"
-
-    @property
-    def cancelling(self) -> bool:
-        """Told to stop and not yet ended."""
-        return self.state == "running" and self._cancelled_at is not None
+    def _stop(self) -> None:
+        """The job ends by itself within GRACE_SECONDS."""
+        if self.folder is not None:
+            try:
+                (self.folder / folders.STOP).touch()
+            except OSError as error:
+                raise cannot_write(self.folder, error) from error
+        self._cancelled_at = time.monotonic()
 
     @property
     def log(self) -> list[str]:
-        """The last lines of its standard error."""
+        """The last LOG_BYTES of its standard error, as lines."""
         if self.folder is None:
             return []
         try:
@@ -140,34 +133,15 @@ class Job:
         except OSError:
             return []
 
-    def wait(self, progress: Callable[[float, str], None] | None = None, interval: float = 0.1) -> dict[str, Any]:
-        """Block until the job ends and return its result; a job that was not begun runs in a temporary folder.
+    def wait(self, progress: Progress | None = None, interval: float = POLL_SECONDS) -> dict[str, Any]:
+        """`Task.wait`. A job that was not begun runs in a temporary folder, attached."""
+        if self.folder is not None:
+            return super().wait(progress, interval)
+        with tempfile.TemporaryDirectory(prefix="snerg-job-", ignore_cleanup_errors=True) as project:
+            return self.begin(Path(project), {}, attached=True).wait(progress, interval)
 
-        Raises SnergError with the job's sentence, or Cancelled; also when `progress` raises, which stops the job.
-        """
-        if self.folder is None:
-            with tempfile.TemporaryDirectory(prefix="snerg-job-", ignore_cleanup_errors=True) as project:
-                return self.begin(Path(project), {}, attached=True).wait(progress, interval)
-        said: tuple[float, str] | None = None
-        noted = 0
-        try:
-            while self.poll():
-                if progress:
-                    for note in self.notes[noted:]:
-                        progress(self.fraction, Note(note))
-                    noted = len(self.notes)
-                if progress and said != (self.fraction, self.message):
-                    said = (self.fraction, self.message)
-                    progress(*said)
-                time.sleep(interval)
-        except BaseException:
-            self.cancel()
-            while self.poll():
-                time.sleep(interval)
-            raise
-        return outcome(self.state, self.result, self.error)
-
-    def _take_lines(self) -> None:
+    def _read_events(self) -> None:
+        """Take in the lines that the job wrote since the last call."""
         assert self.folder is not None
         try:
             with open(self.folder / folders.EVENTS, "rb") as file:
@@ -178,67 +152,48 @@ class Job:
         self._read += len(new)
         *lines, self._rest = (self._rest + new).split(b"\n")
         for raw in lines:
-            with contextlib.suppress(ValueError, RecursionError):  # not ours: what was printed before the job took over its output
+            with contextlib.suppress(ValueError, RecursionError):  # other output, from before the job took over its standard output
                 line = json.loads(raw)
                 if isinstance(line, dict):
                     self._take(line)
 
     def _take(self, line: dict[str, Any]) -> None:
-        if isinstance(line.get("progress"), int | float):
-            self.fraction = float(line["progress"])
-            if line.get("note") is True:
-                self.notes.append(str(line.get("message", "")))
-            elif self._cancelled_at is None:
-                self.message = str(line.get("message", ""))
-        elif self._verdict is not None:  # the first counts: a job may be told to stop as it puts its last things away
+        """Take in one line (see protocol.py)."""
+        if event := ProgressEvent.from_json(line):
+            self._report(event, "waiting" if line.get("waiting") is True else "running")
+        elif self._outcome is not None:  # the first outcome counts: a job may be asked to stop while it cleans up
             return
         elif isinstance(line.get("result"), dict):
-            self._verdict = ("done", line["result"])
+            self._outcome = Outcome("done", line["result"])
         elif "error" in line:
-            self._verdict = ("failed", str(line["error"]))
+            self._outcome = Outcome("failed", error=str(line["error"]))
         elif "cancelled" in line:
-            self._verdict = ("cancelled", str(line["cancelled"]))
+            self._outcome = Outcome("cancelled", error=str(line["cancelled"]))
 
-    def _settle(self) -> None:
-        verdict: tuple[State, Any] = self._verdict or self._unspoken_end()
-        self.state = verdict[0]
-        if self.state == "done":
-            self.result, self.fraction = verdict[1], 1.0
-        else:
-            self.error = verdict[1]
+    def _close(self, outcome: Outcome) -> None:
+        """The process has ended."""
+        self._finish(outcome)
         if self._process is not None:
             _children.discard(self._process)
             if self._process.stdin:
                 with contextlib.suppress(OSError):
                     self._process.stdin.close()
 
-    def _unspoken_end(self) -> tuple[State, str]:
-        """What to say of a job that ended without a word."""
+    def _silent_end(self) -> Outcome:
+        """The outcome of a job that ended without writing one."""
         assert self.folder is not None
         code = self._process.returncode if self._process else None
         if self._cancelled_at is not None:
-            return "cancelled", "Stopped; what it had not yet saved is lost."
-        if code in (-9, 137):
-            return "failed", (
-                "The system ended the job, most likely because the memory ran out; lower the resolution or close other programs, "
-                "then run it again."
-            )
+            return Outcome("cancelled", error=UNSAVED)
+        if code in KILLED:
+            return Outcome("failed", error=KILLED_FOR_MEMORY)
         last = next((line for line in reversed(self.log) if line.strip()), "it left no message")
         how = "killed, or the machine went off" if code is None else f"signal {-code}" if code < 0 else f"code {code}"
-        return "failed", f"The job ended without a result ({how}: {last.strip()}); {self.folder / folders.LOG} has the rest."
-
-
-def outcome(state: State, result: dict[str, Any], error: str) -> dict[str, Any]:
-    """The result of work that has ended. Raises Cancelled or SnergError with its sentence when it did not end well."""
-    if state == "cancelled":
-        raise Cancelled(error)
-    if state == "failed":
-        raise SnergError(error)
-    return result
+        return Outcome("failed", error=f"The job ended without a result ({how}: {last.strip()}); {self.folder / folders.LOG} has the rest.")
 
 
 def job_environment() -> dict[str, str]:
-    """Of a job's process: this one's, with what this one can import."""
+    """The environment for a job's process: this process's, with its import path."""
     return {
         **os.environ,
         IMPORT_PATH: json.dumps([entry for entry in sys.path if entry]),
@@ -247,11 +202,10 @@ def job_environment() -> dict[str, str]:
     }
 
 
-def start_verb(arguments: Sequence[str], python: str | None = None) -> Job:
-    """A verb of the command line (`["bake", FIELD, "--out", SCENE]`) as a job, with this process's imports; `begin` or `wait` starts it.
+def start_command(arguments: Sequence[str], python: str | None = None) -> Job:
+    """A command of the command line (`["bake", FIELD, "--out", SCENE]`) as a job that `begin` or `wait` starts.
 
-    python: the interpreter, by default the one that runs this; inside Blender that is Blender's own.
-    Raises SnergError when it is not there.
+    python: the interpreter, by default this process's; inside Blender that is Blender's own. Raises SnergError when it does not exist.
     """
     python = python or sys.executable
     if not python or not Path(python).is_file():

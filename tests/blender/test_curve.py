@@ -1,4 +1,4 @@
-"""What the panel says of a training: its curve, whether it can go on, and what it decided."""
+"""What the field panel shows of a training: its curve, and whether it can be continued."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from snerg.operators.train import training_arguments
 from snerg.snerg_addon.curve import Curve, curve_of, read_curve, sparkline
-from snerg.snerg_addon.panels import curve_texts, goes_on
+from snerg.snerg_addon.panels.field import can_continue, curve_texts
 from snerg.snerg_addon.project import project_of
 
 LINES = [
@@ -47,7 +47,7 @@ def test_only_a_training_that_was_stopped_goes_on(scene):
     project = project_of(scene)
 
     def can():
-        return goes_on(scene)
+        return can_continue(scene)
 
     assert not can()
     write_log(project.field, LINES)

@@ -53,10 +53,10 @@ scene.cycles.use_denoising = False
 settings = scene.snerg
 settings.folder, settings.test_every, settings.steps, settings.resolution, settings.samples = sys.argv[2], 5, 60, 40, 1
 settings.web_cameras, settings.box = "ALL", None
-verbs, done, files = bpy.ops.snerg, {}, {}
-def run(verb, **keywords):
-    done[verb] = sorted(getattr(verbs, verb)(**keywords))
-    files[verb] = sorted(path.name for path in Path(settings.folder).iterdir() if not path.name.startswith("."))
+operators, done, files = bpy.ops.snerg, {}, {}
+def run(name, **keywords):
+    done[name] = sorted(getattr(operators, name)(**keywords))
+    files[name] = sorted(path.name for path in Path(settings.folder).iterdir() if not path.name.startswith("."))
 run("render_dataset")
 run("train")
 bpy.ops.object.select_all(action="DESELECT")

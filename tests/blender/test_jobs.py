@@ -1,4 +1,4 @@
-"""Jobs that outlive the window: started beside everything else, found again, taken in once; datasets that render beside the window."""
+"""Jobs outlive the window: they are found again and finished once. Datasets render in a job while the window stays free."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from snerg.core.errors import SnergError
 from snerg.core.io.images import read_image
 from snerg.core.jobs import folder as folders
 from snerg.core.jobs.runner import Job, job_environment
-from snerg.operators import job_runner, watch
+from snerg.core.jobs.task import ThreadTask
+from snerg.operators import task_operator, watch
 from snerg.operators.render_dataset import SNERG_OT_render_dataset, chosen_shots, rig_settings
 from snerg.snerg_addon import activity
-from snerg.snerg_addon.activity import Activity, Thought
+from snerg.snerg_addon.activity import Activity
 from snerg.snerg_addon.bridge import box_from_blender
-from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_there
-from snerg.snerg_addon.panels import draw_progress
+from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, unfinished, views_rendered
+from snerg.snerg_addon.panels.main import draw_task
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.render_job import render_job
 
 PATIENCE = 120.0
-ROOT = Path(job_runner.__file__).resolve().parents[1]
+ROOT = Path(task_operator.__file__).resolve().parents[1]
 SLOW_JOB = f"""
 import importlib.util, sys, time
 spec = importlib.util.spec_from_file_location("launcher", {str(ROOT / "launcher.py")!r})
@@ -52,79 +53,79 @@ sys.exit(run_job(work))
 def nothing_left():
     yield
     for begun in activity.current():
-        begun.work.cancel()
+        begun.task.cancel()
     until(lambda: not activity.current())
     activity.stop()
 
 
 def until(true) -> None:
-    """Let the timer run until it is so."""
+    """Call the timer's function until the condition holds."""
     end = time.monotonic() + PATIENCE
     while True:
         watch.tick()
         if true():
             return
-        assert time.monotonic() < end, [(begun.label, begun.work.message) for begun in activity.current()]
+        assert time.monotonic() < end, [(begun.label, begun.task.text) for begun in activity.current()]
         time.sleep(0.02)
 
 
 def slow(go: Path, result: dict) -> Job:
-    """A job that ends with `result` when the file `go` is there."""
+    """A job that ends with `result` when the file `go` exists."""
     return Job([sys.executable, "-c", SLOW_JOB.format(go=str(go), result=result)], job_environment())
 
 
 def a_field(project) -> str:
-    """A new version of the field, as a training leaves it."""
+    """A new version of the field, as a training writes it."""
     version = project.new_version("field")
     (version / "field.npz").write_bytes(b"a field")
     return str(version)
 
 
-def a_verb(operator: str, work) -> type:
-    """A long verb that starts `work`; its result is finished by the real operator of that name."""
+def an_operator(operator: str, work) -> type:
+    """An operator class that starts the task `work`; the real operator of that name finishes it."""
 
-    class Verb(job_runner.LongVerb):
+    class Starts(task_operator.TaskOperator):
         bl_idname, step, label = operator, "field", "Training"
 
         def start(self, context, project):
             return work
 
-    return Verb
+    return Starts
 
 
 def launch(operator: str, work) -> Activity:
-    return job_runner.launch(a_verb(operator, work)(), bpy.context)
+    return task_operator.launch(an_operator(operator, work)(), bpy.context)
 
 
 def test_a_job_is_shown_and_taken_in_when_it_has_ended(scene, tmp_path):
     project = project_of(scene)
     launch("snerg.train", slow(tmp_path / "go", {"psnr": 31.25, "steps": 60, "field": a_field(project)}))
-    until(lambda: activity.current()[0].work.message == "working")
+    until(lambda: activity.current()[0].task.text == "working")
     assert activity.current(project.folder)[0].outlives and activity.current(tmp_path) == []
     (tmp_path / "go").touch()
     until(lambda: not activity.current())
-    assert activity.said(project.folder) == (f"Trained the field at 31.2 dB; it is in {project.field}", True)
+    assert activity.last_report(project.folder) == (f"Trained the field at 31.2 dB; it is in {project.field}", True)
     assert project.notes()["field"]["steps"] == 60
 
 
 def test_the_panel_shows_what_goes_on_together_with_the_notes():
     job = Job([])
-    job.message, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
+    job.text, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
     layout = MagicMock()
-    draw_progress(layout, Activity("field", "Training", job))
+    draw_task(layout, Activity("field", "Training", job))
     drawn = str(layout.mock_calls)
     assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
 
 
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
-    """Blender forgets everything, as when it closes; a second load of the file finds the job, then its result, then nothing more."""
+    """Blender forgets everything, as when it closes. Opening the file again finds the job, later its result, and then nothing more."""
     project = project_of(scene)
     launch("snerg.train", slow(tmp_path / "go", {"psnr": 30.0, "field": a_field(project)}))
     activity.stop()
     watch.tick()
     begun = activity.current()[0]
-    assert (begun.label, begun.operator, begun.scene, begun.work.state) == ("Training", "snerg.train", scene.name, "running")
-    until(lambda: begun.work.fraction == 0.25)
+    assert (begun.label, begun.operator, begun.scene, begun.task.state) == ("Training", "snerg.train", scene.name, "running")
+    until(lambda: begun.task.fraction == 0.25)
     activity.stop()
     (tmp_path / "go").touch()
     folder = folders.job_folders(project.folder)[0]
@@ -132,14 +133,14 @@ def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
         time.sleep(0.02)
     watch.tick()
     watch.tick()
-    assert project.notes()["field"]["psnr"] == 30.0 and activity.said(project.folder)[1]
+    assert project.notes()["field"]["psnr"] == 30.0 and activity.last_report(project.folder)[1]
     activity.stop()
     watch.tick()
-    assert activity.current() == [] and activity.said(project.folder) is None
+    assert activity.current() == [] and activity.last_report(project.folder) is None
 
 
 def test_every_status_bar_shows_it_and_nothing_is_left_behind(scene):
-    """What is drawn is asked for each time, in every workspace; no text is set that would have to be taken back."""
+    """The status bar's draw function runs at each redraw, in every workspace; it sets no text that would have to be cleared."""
     header = bpy.types.STATUSBAR_HT_header
     assert watch.draw_status in header.draw._draw_funcs
     watch.unregister()
@@ -160,11 +161,11 @@ def test_a_job_of_another_project_is_not_shown(scene, tmp_path):
 
 def test_the_button_stops_the_job_that_it_names(scene, tmp_path):
     first, second = launch("snerg.train", slow(tmp_path / "go", {})), launch("snerg.bake", slow(tmp_path / "go", {"second": 1}))
-    until(lambda: second.work.message == "Waits for Training")
+    until(lambda: second.task.text == "Waits for Training")
     assert bpy.ops.snerg.cancel(work=second.key) == {"FINISHED"}
     until(lambda: second not in activity.current())
-    assert first in activity.current() and not first.work.cancelling
-    assert activity.said(project_of(scene).folder) == ("Training: Stopped as you asked, before it began.", False)
+    assert first in activity.current() and not first.task.cancelling
+    assert activity.last_report(project_of(scene).folder) == ("Training: Stopped as you asked, before it began.", False)
     assert bpy.ops.snerg.cancel() == {"FINISHED"}
     until(lambda: not activity.current())
     assert not bpy.ops.snerg.cancel.poll()
@@ -172,14 +173,14 @@ def test_the_button_stops_the_job_that_it_names(scene, tmp_path):
 
 def test_the_same_is_not_started_twice(scene, tmp_path):
     launch("snerg.train", slow(tmp_path / "go", {}))
-    with pytest.raises(SnergError, match="Training with these settings is already under way"):
+    with pytest.raises(SnergError, match="Training with these settings is already running"):
         launch("snerg.train", slow(tmp_path / "go", {}))
     launch("snerg.train", slow(tmp_path / "go", {"other": "settings"}))
     assert len(activity.current()) == 2
 
 
 def test_training_can_be_started_behind_the_dataset_that_it_needs(scene, tmp_path):
-    """And nothing else can: what a bake is asked depends on the field."""
+    """A bake cannot: its arguments depend on the field."""
     assert not bpy.ops.snerg.train.poll() and not bpy.ops.snerg.bake.poll()
     work = slow(tmp_path / "go", {})
     begun = activity.Activity("dataset", "Rendering", work, "snerg.render_dataset", project_of(scene).folder, scene.name)
@@ -204,9 +205,9 @@ def test_what_blender_does_itself_ends_with_its_scene(scene, tmp_path):
 
     other = bpy.data.scenes.new("Other")
     other.snerg.folder = str(tmp_path / "other")
-    work = Thought(think)
+    work = ThreadTask(think)
     activity.begin(Activity("dataset", "Importing", work, "snerg.import_dataset", tmp_path / "other", other.name, other.session_uid))
-    with pytest.raises(SnergError, match="still under way"), bpy.context.temp_override(scene=other):
+    with pytest.raises(SnergError, match="still running"), bpy.context.temp_override(scene=other):
         launch("snerg.import_dataset", work)
     watch.tick()
     assert len(activity.current()) == 1 and not activity.current()[0].outlives
@@ -216,7 +217,7 @@ def test_what_blender_does_itself_ends_with_its_scene(scene, tmp_path):
 
 
 def test_an_operator_that_blender_made_starts_a_job_which_its_class_finishes(scene):
-    """Blender gives instances another bl_idname than their class: a job goes by the one that finds the class again."""
+    """Blender gives instances another bl_idname than their class; a job's record holds the one of the class."""
 
     class SNERG_OT_launch(bpy.types.Operator):
         bl_idname, bl_label, step, label = "snerg.launch", "Launch", "field", "Training"
@@ -225,7 +226,7 @@ def test_an_operator_that_blender_made_starts_a_job_which_its_class_finishes(sce
             return Job([sys.executable, "-c", ""], job_environment())
 
         def execute(self, context):
-            begun.append(job_runner.launch(self, context))
+            begun.append(task_operator.launch(self, context))
             return {"FINISHED"}
 
     begun: list[Activity] = []
@@ -234,7 +235,7 @@ def test_an_operator_that_blender_made_starts_a_job_which_its_class_finishes(sce
         assert bpy.ops.snerg.launch() == {"FINISHED"}
     finally:
         bpy.utils.unregister_class(SNERG_OT_launch)
-    assert begun[0].operator == "snerg.launch" == folders.read_record(begun[0].work.folder)["operator"]
+    assert begun[0].operator == "snerg.launch" == folders.read_record(begun[0].task.folder)["operator"]
 
 
 def test_damaged_results_are_a_sentence(scene, tmp_path):
@@ -242,7 +243,7 @@ def test_damaged_results_are_a_sentence(scene, tmp_path):
     (folder / folders.EVENTS).write_text('{"result": {}}\n')
     (folder / folders.RECORD).write_text((folder / folders.RECORD).read_text().replace('"started": ', '"started": -'))
     until(lambda: (folder / folders.TAKEN).exists())
-    assert "could not be taken in (KeyError" in activity.said(project_of(scene).folder)[0]
+    assert "could not be used (KeyError" in activity.last_report(project_of(scene).folder)[0]
 
 
 def test_a_scripts_job_is_not_taken_in_by_a_window(scene, tmp_path):
@@ -251,7 +252,7 @@ def test_a_scripts_job_is_not_taken_in_by_a_window(scene, tmp_path):
     (folder,) = folders.job_folders(project_of(scene).folder)
     assert folders.read_record(folder)["label"] == "Importing the scene" and not folders.is_alive(folder)
     watch.tick()
-    assert activity.said(project_of(scene).folder) is None
+    assert activity.last_report(project_of(scene).folder) is None
 
 
 def five_cameras(scene):
@@ -262,7 +263,7 @@ def five_cameras(scene):
 
 
 def job_of(scene, goes_on: bool = True) -> Job:
-    """What the operator starts where there is a window."""
+    """The job that the operator starts where there is a window."""
     settings = scene.snerg
     box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
     shots = rig_settings(bpy.context) if settings.cameras == "RIG" else chosen_shots(bpy.context)
@@ -270,27 +271,27 @@ def job_of(scene, goes_on: bool = True) -> Job:
 
 
 def test_a_dataset_renders_in_a_process_of_its_own_with_all_unsaved_changes(scene, tmp_path):
-    """The same bytes as in this process, although nothing was ever saved; nothing of the copy is left."""
+    """The dataset has the same bytes as one rendered in this process, although the file was never saved. The copy is deleted."""
     shots = five_cameras(scene)
     project = project_of(scene)
     render_dataset(scene, shots, tmp_path / "here", CaptureSettings(3))
     launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
     scene.objects["Camera 0"].location.x += 5  # what is changed afterwards is not rendered
     until(lambda: not activity.current())
-    assert activity.said(project.folder) == (f"Rendered 4 views to train on and 1 to test on into {project.own_dataset}", True)
+    assert activity.last_report(project.folder) == (f"Rendered 4 views to train on and 1 to test on into {project.own_dataset}", True)
     assert contents(project.own_dataset) == contents(tmp_path / "here")
     assert not bpy.data.filepath and not list((project.folder / "jobs").rglob("*.blend"))
 
 
 @pytest.fixture
 def unsaved_again():
-    """The session as it was: a file that was never saved."""
+    """Restore the session afterwards: a file that was never saved."""
     yield
     bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
 
 
 def test_relative_paths_and_painted_pictures_reach_the_copy(scene, tmp_path, unsaved_again):
-    """A texture beside the file under a path that starts with //, and one that was painted and not saved."""
+    """One texture has a path that starts with //; another was painted and not saved."""
     saved = tmp_path / "work" / "file.blend"
     saved.parent.mkdir()
     picture = bpy.data.images.new("Beside", 4, 4)
@@ -334,7 +335,7 @@ def test_the_rig_renders_in_a_process_of_its_own(scene, tmp_path):
 
 
 def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int:
-    """Render with so many kills at random moments; each end must be as if there had been none. Returns how many views were kept in all."""
+    """Render with kills at random moments; the result must equal an uninterrupted one. Returns the number of views that were kept."""
     project, kept = project_of(scene), 0
 
     def check() -> None:
@@ -344,16 +345,16 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
 
     for _ in range(kills):
         begun = launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
-        view = rng.randint(min(views_there(project.own_dataset)[0] + 2, 5), 5)
-        until(lambda: begun.work.state != "running" or begun.work.fraction >= (view - 1) / 5)  # noqa: B023
+        view = rng.randint(min(views_rendered(project.own_dataset)[0] + 2, 5), 5)
+        until(lambda: begun.task.ended or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
         time.sleep(rng.uniform(0.0, 0.1))
-        if folders.is_alive(begun.work.folder):
-            os.kill(int((begun.work.folder / folders.LOCK).read_text()), signal.SIGKILL)
+        if folders.is_alive(begun.task.folder):
+            os.kill(int((begun.task.folder / folders.LOCK).read_text()), signal.SIGKILL)
         check()
-        kept += views_there(project.own_dataset)[0]
+        kept += views_rendered(project.own_dataset)[0]
     launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
     check()
-    assert views_there(project.own_dataset) == (0, 0)
+    assert views_rendered(project.own_dataset) == (0, 0)
     return kept
 
 
@@ -379,17 +380,17 @@ def test_fifty_killed_renderings(scene, tmp_path):
 
 
 def test_a_rendering_hears_that_it_shall_stop_in_the_middle_of_a_view(scene, tmp_path):
-    """A view that takes minutes does not keep the artist waiting; those before it are kept."""
+    """A rendering stops within seconds although a view takes minutes, and keeps the views before it."""
     shots = five_cameras(scene)
     scene.cycles.samples = 4096
     scene.render.resolution_x = scene.render.resolution_y = 1024
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
     begun = launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
-    until(lambda: begun.work.message.startswith("View 1 of 5"))
+    until(lambda: begun.task.text.startswith("View 1 of 5"))
     time.sleep(0.5)
     start = time.monotonic()
-    begun.work.cancel()
+    begun.task.cancel()
     until(lambda: not activity.current())
     assert time.monotonic() - start < 10.0  # of minutes; 0.5 s where the machine has nothing else to do
     scene.render.threads_mode = "AUTO"
-    assert begun.work.state == "cancelled" and "views that were rendered are kept" in begun.work.error and len(shots) == 5
+    assert begun.task.state == "cancelled" and "views that were rendered are kept" in begun.task.error and len(shots) == 5

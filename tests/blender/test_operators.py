@@ -1,4 +1,4 @@
-"""What an artist can get wrong: one sentence, CANCELLED, and nothing half-written."""
+"""Mistakes of an artist give one sentence, CANCELLED, and no unfinished files; settings reach the command line."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from stage import add_camera, add_plane
 from snerg.core.cli import parser
 from snerg.core.commands.train import train_field
 from snerg.core.errors import Cancelled, SnergError
-from snerg.snerg_addon import ahead
-from snerg.snerg_addon.activity import Steps
+from snerg.core.jobs.task import StepTask
+from snerg.snerg_addon import estimate_panel
 from snerg.snerg_addon.bridge import STUDY
-from snerg.snerg_addon.panels import next_step
+from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
 
 
-def refused(verb: str, match: str, **keywords) -> None:
+def refused(name: str, match: str, **keywords) -> None:
     """The operator must report an error; from a script, Blender raises it with the report's text."""
     with pytest.raises(RuntimeError, match=match):
-        getattr(bpy.ops.snerg, verb)(**keywords)
+        getattr(bpy.ops.snerg, name)(**keywords)
 
 
 def files(scene) -> list[str]:
@@ -33,7 +33,7 @@ def files(scene) -> list[str]:
 
 def test_each_step_says_what_it_is_waiting_for(scene):
     assert next_step(scene) == "Next: render or import a dataset"
-    for verb, match in (
+    for name, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
         ("estimate", "no field"),
@@ -42,7 +42,7 @@ def test_each_step_says_what_it_is_waiting_for(scene):
         ("export_scene", "no baked scene"),
         ("export_web", "no baked scene"),
     ):
-        refused(verb, match)
+        refused(name, match)
     assert files(scene) == []
 
 
@@ -58,11 +58,11 @@ def test_rendering_without_cameras_or_box_is_refused(scene):
     assert files(scene) == []
 
 
-def started(monkeypatch, verb: str) -> list[str]:
+def started(monkeypatch, name: str) -> list[str]:
     """The command line that an operator would start."""
-    module = importlib.import_module(f"snerg.operators.{verb}")
-    monkeypatch.setattr(module, "start_verb", lambda arguments: arguments)
-    return getattr(module, f"SNERG_OT_{verb}").start(None, bpy.context, project_of(bpy.context.scene))
+    module = importlib.import_module(f"snerg.operators.{name}")
+    monkeypatch.setattr(module, "start_command", lambda arguments: arguments)
+    return getattr(module, f"SNERG_OT_{name}").start(None, bpy.context, project_of(bpy.context.scene))
 
 
 def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
@@ -76,36 +76,37 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert started(monkeypatch, "export_web")[-2:] == ["--codec", "webp"]
     scene.snerg.codec, scene.snerg.quality = "avif", 70
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
-    for verb in ("bake", "export_web"):  # every option is one that there is
-        assert parser().parse_args(started(monkeypatch, verb)).verb == verb.replace("export_web", "bundle")
+    for name in ("bake", "export_web"):  # every option is one that there is
+        assert parser().parse_args(started(monkeypatch, name)).verb == name.replace("export_web", "bundle")
 
 
 @pytest.mark.slow
 def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
-    """The field is looked at once; from then on the panel follows the box, and a field that was written again has to be looked at."""
+    """The field is measured once, then the estimate follows the box; a new version of the field has to be measured again."""
     project = project_of(scene)
-    assert ahead.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
     train_field(dataset, project.field, steps=60)
-    assert ahead.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
     assert bpy.ops.snerg.estimate() == {"FINISHED"}
-    whole = ahead.texts(bpy.context)
+    whole = estimate_panel.lines(bpy.context)
     assert "GB of memory" in whole[0] and "MB as PNG" in whole[1]
-    assert ahead.survey_of(project) is ahead.survey_of(project), "read once"
+    assert estimate_panel.probe_of(project) is estimate_panel.probe_of(project), "read once"
     scene.snerg.resolution = 512
-    assert ahead.texts(bpy.context) != whole
+    assert estimate_panel.lines(bpy.context) != whole
     bpy.ops.snerg.add_box()
     scene.snerg.box.location.x += 1000
     bpy.context.view_layer.update()
-    assert ahead.texts(bpy.context)[1].startswith("0 MB")
+    assert estimate_panel.lines(bpy.context)[1].startswith("0 MB")
     scene.snerg.voxel_size = 1e-9
-    assert "choose at least" in ahead.texts(bpy.context)[0] and len(ahead.texts(bpy.context)) == 1, "one sentence, in place of numbers"
+    (line,) = estimate_panel.lines(bpy.context)
+    assert "choose at least" in line, "one sentence, in place of numbers"
     train_field(dataset, project.field, steps=70)
-    assert ahead.texts(bpy.context) == []
+    assert estimate_panel.lines(bpy.context) == []
 
 
 @pytest.mark.slow
 def test_a_study_shows_its_pictures_in_blender(scene, dataset, monkeypatch):
-    """From a trained field to an image; the same settings go on with the same study."""
+    """A study gives an image; the same settings continue the same study."""
     project = project_of(scene)
     train_field(dataset, project.field, steps=60)
     scene.snerg.resolution, scene.snerg.study_minutes = 16, 1.0
@@ -198,17 +199,17 @@ def test_steps_end_as_jobs_do():
         yield 0.5, "half"
         raise SnergError("The scene has no camera.")
 
-    assert Steps(good()).wait() == {"views": 3}
+    assert StepTask(good()).wait() == {"views": 3}
     with pytest.raises(SnergError, match="no camera"):
-        Steps(bad()).wait()
-    stopped = Steps(good())
+        StepTask(bad()).wait()
+    stopped = StepTask(good())
     stopped.cancel()
     with pytest.raises(Cancelled):
         stopped.wait()
 
 
 def test_a_page_needs_no_cameras(scene, monkeypatch):
-    """It begins with a view of the whole box."""
+    """Without cameras the page starts with a view of the whole box."""
     assert "--cameras" not in started(monkeypatch, "export_web")
     scene.snerg.web_cameras = "SELECTED"
     with pytest.raises(SnergError, match="no camera selected"):

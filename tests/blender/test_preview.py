@@ -1,4 +1,4 @@
-"""The preview: a thread marches, Blender shows what comes, the small picture first."""
+"""The preview renders in a thread; Blender shows each pass, the coarse one first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scenes import make_snerg
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.scene_files import write_scene
 from snerg.core.rendering.render import render_scene
-from snerg.operators.preview import Marching, enlarged
+from snerg.operators.preview import PreviewTask, enlarged
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import evaluated
 from snerg.snerg_addon.project import project_of
@@ -40,7 +40,7 @@ def test_the_picture_is_what_the_marcher_gives(baked):
     assert np.ptp(wanted) > 0.3 and np.abs(shown[..., :3] - wanted).max() < 1.01 / 255
 
 
-def finish(work: Marching) -> None:
+def finish(work: PreviewTask) -> None:
     while work.poll():
         time.sleep(0.01)
 
@@ -48,7 +48,7 @@ def finish(work: Marching) -> None:
 def test_a_small_picture_comes_first(baked):
     scene, _, camera = baked
     seen = []
-    work = Marching(project_of(scene), camera, seen.append)
+    work = PreviewTask(project_of(scene), camera, seen.append)
     finish(work)
     assert work.state == "done" and work.fraction == 1
     assert seen[-1].alpha.shape == (24, 32)
@@ -60,7 +60,7 @@ def test_a_small_picture_comes_first(baked):
 
 def test_stopping_and_failing_end_as_jobs_do(baked):
     scene, _, camera = baked
-    work = Marching(project_of(scene), camera.resized(3000, 3000), lambda frame: None)
+    work = PreviewTask(project_of(scene), camera.resized(3000, 3000), lambda frame: None)
     work.cancel()
     assert work.cancelling
     began = time.perf_counter()
@@ -68,7 +68,7 @@ def test_stopping_and_failing_end_as_jobs_do(baked):
         work.wait()
     assert time.perf_counter() - began < 2 and work.state == "cancelled"
     (project_of(scene).scene / "scene.json").write_text("{}")
-    broken = Marching(project_of(scene), camera, lambda frame: None)
+    broken = PreviewTask(project_of(scene), camera, lambda frame: None)
     finish(broken)
     assert broken.state == "failed" and "scene.json" in broken.error
     with pytest.raises(SnergError, match=r"scene\.json"):

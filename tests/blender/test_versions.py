@@ -1,4 +1,4 @@
-"""Versions: a result never takes an older one's place, and the artist says which is in use."""
+"""Versions: a result never replaces an earlier one, and the artist chooses which is in use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from snerg.snerg_addon.project import Project, project_of, remember
 
 
 def a_version(project: Project, step: str, psnr: float | None = None) -> Path:
-    """A new version as a job leaves it; taken in with its quality, or stopped where there is none."""
+    """A new version as a job writes it: finished with this PSNR, or stopped where psnr is None."""
     version = project.new_version(step)
     (version / {"field": "field.npz", "scene": "scene.json"}[step]).write_bytes(str(psnr).encode())
     if psnr is not None:
@@ -62,7 +62,7 @@ def test_a_project_of_an_earlier_snerg_has_its_field_and_scene_as_versions(scene
 
 
 def test_training_over_a_field_that_is_finished_makes_another(scene, monkeypatch):
-    monkeypatch.setattr(train, "start_verb", lambda arguments: arguments)
+    monkeypatch.setattr(train, "start_command", lambda arguments: arguments)
     project = project_of(scene)
     first = a_version(project, "field", 30.0)
     arguments = train.SNERG_OT_train.start(None, bpy.context, project)
@@ -72,7 +72,7 @@ def test_training_over_a_field_that_is_finished_makes_another(scene, monkeypatch
 
 
 def test_a_bake_says_which_field_and_settings_it_is_of(scene, monkeypatch):
-    monkeypatch.setattr(bake, "start_verb", lambda arguments: arguments)
+    monkeypatch.setattr(bake, "start_command", lambda arguments: arguments)
     project = project_of(scene)
     project.rename(a_version(project, "field", 30.0), "Sofa")
     arguments = bake.SNERG_OT_bake.start(None, bpy.context, project)

@@ -24,8 +24,9 @@ from snerg.core.baking.bake import BakeSettings
 from snerg.core.commands.train import settings_of
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene_files import write_scene
-from snerg.core.jobs.runner import start_verb
+from snerg.core.jobs.runner import start_command
 from snerg.core.nerf.checkpoint import read_field
+from snerg.core.progress import Note
 from snerg.core.rendering.render import MarchSettings
 
 
@@ -299,9 +300,9 @@ def test_the_console_script(scene):
 
 
 def test_as_a_job(scene, tmp_path):
-    child = start_verb(["export", str(scene), "--out", str(tmp_path / "out")])
+    child = start_command(["export", str(scene), "--out", str(tmp_path / "out")])
     assert child.wait()["kind"] == "reference scene"
-    child = start_verb(["info", str(tmp_path / "nothing")])
+    child = start_command(["info", str(tmp_path / "nothing")])
     with pytest.raises(cli.SnergError, match="does not exist"):
         child.wait()
 
@@ -389,8 +390,8 @@ def test_notes_stay_on_the_screen(tty):
     screen = Screen(tty)
     progress = cli.Terminal(screen)
     progress(0.1, "Step 1")
-    progress(0.1, cli.Note("NDC: no. The cameras look at it from around."))
-    progress(0.1, cli.Note("Alpha: yes."))
+    progress(0.1, Note("NDC: no. The cameras look at it from around."))
+    progress(0.1, Note("Alpha: yes."))
     progress(0.2, "Step 2")
     progress.end()
     lines = screen.getvalue().split("\n")

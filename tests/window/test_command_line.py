@@ -1,4 +1,4 @@
-"""`blender --command snerg VERB` in a full Blender, whose own signal handlers and output the bpy module does not have."""
+"""`blender --command snerg COMMAND` in a full Blender, whose own signal handlers and output the bpy module does not have."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def answer(result):
 
 @pytest.fixture(scope="module")
 def folder(blender):
-    """For what the verbs write, where Blender sees it."""
+    """For what the commands write, where Blender sees it."""
     made = blender.folder("command")
     shutil.rmtree(made, ignore_errors=True)
     made.mkdir(parents=True)
@@ -57,10 +57,10 @@ def test_bundle(blender, baked, folder):
     assert (folder / "web" / "index.html").is_file()
 
 
-@pytest.mark.parametrize("verb", ["info", "train", "bake", "effects", "bundle"])
-def test_a_wrong_path_is_one_sentence(blender, folder, verb):
-    out = () if verb in ("info", "effects") else ("--out", str(folder / "nothing"))
-    result = blender.snerg(verb, str(folder / "nowhere"), *out, "--json")
+@pytest.mark.parametrize("command", ["info", "train", "bake", "effects", "bundle"])
+def test_a_wrong_path_is_one_sentence(blender, folder, command):
+    out = () if command in ("info", "effects") else ("--out", str(folder / "nothing"))
+    result = blender.snerg(command, str(folder / "nowhere"), *out, "--json")
     said = [line for line in result.stderr.splitlines() if line.startswith("snerg: ")]
     assert result.returncode == 2, f"exit code {result.returncode}: {result.stderr}"
     assert len(said) == 1 and "nowhere" in said[0] and "Traceback" not in result.stderr + result.stdout

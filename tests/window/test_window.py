@@ -78,7 +78,7 @@ def test_nothing_shows_another_files_or_scenes_results(blender, trained):
     assert says(seen["second"], EMPTY), f"A new file beside the first shows that one's field: {seen['second']}"
 
 
-def test_the_search_finds_the_verbs(blender):
+def test_the_search_finds_the_operators(blender):
     assert blender.walk("search")["box"], "F3, 'snerg add box', Enter added no box; see search.png"
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C ends every verb within a second, in every phase of it, and leaves nothing half-written."""
+"""Ctrl-C ends every command within a second, in each of its phases, and leaves no unfinished files."""
 
 import os
 import random
@@ -25,10 +25,10 @@ from snerg.core.jobs.interrupt import deadline, keyboard, watched
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc to see how far a start is")
 ROOT = Path(__file__).parents[3]
-LONGEST = 8.0  # seconds into a verb up to which it is interrupted
+LONGEST = 8.0  # seconds into a command up to which it is interrupted
 LOOSE = 3.0  # seconds that a busy machine may take; what is measured is printed by the slow test
-TRIES = 12  # a verb, in the slow test
-VERBS = {
+TRIES = 12  # a command, in the slow test
+COMMANDS = {
     "train": "train {dataset} --out {out} --minutes 5",
     "train, hierarchical": "train {dataset} --out {out} --preset paper --steps 100000",
     "import": "import {reference} --out {out}",
@@ -47,7 +47,7 @@ VERBS = {
 
 @pytest.fixture(scope="module")
 def material(tmp_path_factory):
-    """Paths by name: a dataset whose pictures take a moment to read, and a field, a scene and cameras."""
+    """Paths by name: a dataset whose images take a moment to read, a field, scenes and cameras."""
     pytest.importorskip("jax")
     folder = tmp_path_factory.mktemp("material")
     snerg = make_snerg((100, 100, 100))
@@ -86,23 +86,23 @@ def interrupted(words: list[str], delay: float, out: Path, command: tuple[str, .
     return seconds, code != 0
 
 
-def whole(verb: str, out: Path) -> bool:
-    """Whether what lies at `out` is nothing, or all of it."""
-    if not out.exists() or verb == "study":
+def whole(command: str, out: Path) -> bool:
+    """Whether the result at `out` is absent or complete."""
+    if not out.exists() or command == "study":
         return True
-    if verb in ("eval", "render"):
+    if command in ("eval", "render"):
         return any(out.glob("*.png"))
-    if verb.startswith("train") and not (out / "field.npz").exists():
+    if command.startswith("train") and not (out / "field.npz").exists():
         return {path.name for path in out.iterdir()} <= {".snerg", "log.jsonl"}
     return cli.main(["info", str(out)]) == 0
 
 
-@pytest.mark.parametrize("verb, delay", [("train", 2.5), ("bake", 3.0), ("bundle", 0.8), ("study", 4.0), ("info", 0.0), ("info", 0.1)])
-def test_a_verb_stops_at_once(material, tmp_path, verb, delay):
-    """In the middle of compiling, of encoding, and of starting."""
+@pytest.mark.parametrize("command, delay", [("train", 2.5), ("bake", 3.0), ("bundle", 0.8), ("study", 4.0), ("info", 0.0), ("info", 0.1)])
+def test_a_command_stops_at_once(material, tmp_path, command, delay):
+    """While it compiles, encodes and starts."""
     out = tmp_path / "out"
-    seconds, stopped = interrupted(VERBS[verb].format(out=out, **material).split(), delay, out)
-    assert stopped and seconds < LOOSE and whole(verb, out)
+    seconds, stopped = interrupted(COMMANDS[command].format(out=out, **material).split(), delay, out)
+    assert stopped and seconds < LOOSE and whole(command, out)
 
 
 def test_the_launcher_stops_while_it_starts(material, tmp_path):
@@ -116,40 +116,40 @@ def test_nothing_heavy_is_imported_before_the_keyboard_is_heard():
 
 
 @pytest.mark.slow
-def test_every_verb_stops_at_once_in_every_phase(material, tmp_path, capsys):
-    """Seeded moments all over each verb; prints p50, p99 and the longest of the latencies."""
+def test_every_command_stops_at_once_in_every_phase(material, tmp_path, capsys):
+    """At seeded random moments of each command. Prints the median, the 99th percentile and the maximum of the latencies."""
     draw, everything = random.Random(3), []
-    for number, (verb, text) in enumerate(VERBS.items()):
+    for number, (command, text) in enumerate(COMMANDS.items()):
         taken, longest = [], LONGEST
         for turn in range(TRIES):
             out = tmp_path / str(number) / str(turn) / "out"
             out.parent.mkdir(parents=True)
             delay = draw.uniform(0, longest) if turn else longest
             seconds, stopped = interrupted(text.format(out=out, **material).split(), delay, out)
-            assert whole(verb, out), (verb, delay)
+            assert whole(command, out), (command, delay)
             if stopped:
                 taken.append(seconds)
             else:  # that is how long it takes
                 longest = min(longest, seconds)
         everything += taken
-        _print(capsys, verb, taken)
+        _print(capsys, command, taken)
     _print(capsys, "all", everything)
     assert np.median(everything) < 1 and max(everything) < 2 * LOOSE
 
 
-def _print(capsys, verb: str, seconds: list[float]) -> None:
-    """How often a verb was stopped, and the p50, p99 and longest of the seconds that it took."""
+def _print(capsys, command: str, seconds: list[float]) -> None:
+    """Print how often a command was stopped, and the median, the 99th percentile and the maximum of the seconds that it took."""
     with capsys.disabled():
         told = "".join(f"{value:8.3f}" for value in (*np.percentile(seconds, (50, 99)), max(seconds))) if seconds else ""
-        print(f"{verb:20} {len(seconds):4}{told}", flush=True)
+        print(f"{command:20} {len(seconds):4}{told}", flush=True)
 
 
 def run_slow(body: str, out: Path, presses: int = 1) -> tuple[int, str, float]:
-    """(exit code, what it said, seconds from the first Ctrl-C) of a verb whose work is `body`, interrupted once it says 'ready'."""
+    """(exit code, standard error, seconds from the first Ctrl-C) of a command with the work `body`, interrupted once it printed 'ready'."""
     script = f"""
 import sys, threading, time
 from pathlib import Path
-from snerg.core import cli
+from snerg.core import cli, errors
 from snerg.core.io import files
 out = Path({str(out)!r})
 def info(path, progress):
@@ -186,7 +186,7 @@ SAVE = """
         while True:
             progress(0.5, "working")
             time.sleep(0.01)
-    except cli.Cancelled:
+    except errors.Cancelled:
         with files.SAVING:
             time.sleep({seconds})
             files.write_bytes(out, b"saved")
@@ -205,7 +205,7 @@ def test_a_second_press_does_not_wait(tmp_path):
 
 
 def test_any_event_asks():
-    """The end of a job's input, as well as the keyboard."""
+    """Work stops on any event, not only on the keyboard's."""
     asked, left = threading.Event(), []
     progress = watched(lambda fraction, message: None, asked)
     threading.Timer(0.2, asked.set).start()

@@ -1,7 +1,8 @@
-"""Jobs as they are: real processes, well-behaved, silent, killed, stubborn, out of memory, waiting, left alone and found again."""
+"""Jobs as real processes: finished, failed, killed, hanging, out of memory, waiting, left by their starter and found again."""
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -17,7 +18,7 @@ import pytest
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.jobs import folder as folders
 from snerg.core.jobs import runner
-from snerg.core.jobs.runner import Job, start_verb
+from snerg.core.jobs.runner import Job, start_command
 
 ROOT = Path(runner.__file__).resolve().parents[2]
 PATIENCE = 30.0  # seconds for what takes a fraction of one
@@ -41,7 +42,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="a POSIX signal")
 
 @pytest.fixture(autouse=True)
 def nothing_runs_on(tmp_path: Path) -> Iterator[None]:
-    """Jobs outlive who started them: also a test that failed."""
+    """Stop all jobs at the end, which would outlive a failed test."""
     yield
     for lock in tmp_path.rglob(folders.LOCK):
         (lock.parent / folders.STOP).touch()
@@ -58,7 +59,7 @@ def job(work: str) -> Job:
 
 
 def until(true: Callable[[], bool]) -> float:
-    """Wait for it; returns how many seconds that took."""
+    """Wait for a condition, and return how many seconds that took."""
     start = time.monotonic()
     while not true():
         assert time.monotonic() - start < PATIENCE
@@ -67,7 +68,7 @@ def until(true: Callable[[], bool]) -> float:
 
 
 def works(child: Job) -> bool:
-    return not child.poll() or child.message == "working"
+    return not child.poll() or child.text == "working"
 
 
 def test_result_and_progress_arrive():
@@ -83,7 +84,7 @@ def test_a_note_does_not_hide_what_goes_on():
         "from snerg.core.progress import Note\nprogress(0.0, 'Compiling')\nprogress(0.0, Note('NDC: no.'))\ntime.sleep(1)\nreturn {}"
     )
     child.wait(lambda fraction, message: said.append(message))
-    assert child.message == "Compiling" and child.notes == ["NDC: no."]
+    assert child.text == "Compiling" and child.notes == ["NDC: no."]
     assert said.count("NDC: no.") == 1 and said[-1] == "Compiling"
 
 
@@ -159,7 +160,7 @@ def test_progress_that_raises_stops_the_job(tmp_path):
 
 def test_a_python_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(SnergError, match="was not found"):
-        start_verb(["info", "."], python="/nowhere/python3")
+        start_command(["info", "."], python="/nowhere/python3")
     with pytest.raises(SnergError, match="Cannot start"):
         Job([os.path.join(os.sep, "nowhere", "python3")]).begin(tmp_path, {})
     assert folders.job_folders(tmp_path) == []
@@ -171,15 +172,15 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path):
         job("return {}").begin(tmp_path / "file", {})
 
 
-def test_the_launcher_runs_a_verb(tmp_path):
-    child = start_verb(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
+def test_the_launcher_runs_a_command(tmp_path):
+    child = start_command(["info", str(tmp_path / "missing")]).begin(tmp_path, {})
     with pytest.raises(SnergError, match="missing"):
         child.wait()
     assert child.state == "failed", json.dumps(child.log)
 
 
 def begun_elsewhere(project: Path, work: str, attached: bool, then: str) -> subprocess.Popen[bytes]:
-    """Another process that begins a job in `project` and then does `then`."""
+    """Start another process that begins a job in `project` and then runs `then`."""
     arguments = f"[sys.executable, '-c', {source(work)!r}]"
     code = f"{LOAD}\nchild = Job({arguments}).begin(Path({str(project)!r}), {{'label': 'Training'}}, attached={attached})\n{then}"
     return subprocess.Popen([sys.executable, "-c", code])
@@ -213,7 +214,7 @@ def test_a_job_that_was_found_is_cancelled_as_any(tmp_path):
 
 
 def test_a_job_whose_folder_is_deleted_ends(tmp_path):
-    """As Blender deletes its temporary folder, in which files that were never saved have their projects."""
+    """As Blender deletes its temporary folder when it closes."""
     child = job(WORKS_ON).begin(tmp_path / "project", {})
     until(lambda: works(child))
     shutil.rmtree(tmp_path / "project")
@@ -244,12 +245,12 @@ def test_a_killed_job_is_seen_to_be_dead_by_whoever_looks(tmp_path):
 
 
 def test_jobs_of_a_project_run_one_after_another(tmp_path):
-    """Each writes when it begins and when it ends; whoever waits says for whom."""
+    """Each job writes when it starts and when it ends; a waiting job reports which one it waits for."""
     log = tmp_path / "order"
     work = "with open({log!r}, 'a') as file: file.write('+{k} '); file.flush(); time.sleep(0.3); file.write('-{k} ')\nreturn {{}}"
     children = [job(work.format(log=str(log), k=k)).begin(tmp_path, {"label": f"Step {k}"}) for k in range(3)]
-    until(lambda: not children[2].poll() or children[2].message.startswith("Waits"))
-    assert children[2].message in ("Waits for Step 0", "Waits for Step 1")
+    until(lambda: not children[2].poll() or children[2].text.startswith("Waits"))
+    assert children[2].text in ("Waits for Step 0", "Waits for Step 1")
     for child in children:
         child.wait()
     assert log.read_text().split() == ["+0", "-0", "+1", "-1", "+2", "-2"]
@@ -259,7 +260,7 @@ def test_who_waits_can_be_cancelled_and_who_fails_lets_the_next_go_on(tmp_path):
     go = tmp_path / "go"
     first = job(f"while not Path({str(go)!r}).exists(): time.sleep(0.01)\nraise SnergError('No luck.')").begin(tmp_path, {"label": "First"})
     second, third = (job("return {}").begin(tmp_path, {"label": name}) for name in ("Second", "Third"))
-    until(lambda: not second.poll() or second.message == "Waits for First")
+    until(lambda: not second.poll() or second.text == "Waits for First")
     second.cancel()
     assert until(lambda: not second.poll()) < HEARD
     assert second.state == "cancelled" and "before it began" in second.error
@@ -280,8 +281,8 @@ def test_projects_do_not_wait_for_each_other(tmp_path):
 
 def test_a_waiting_job_has_imported_nothing_heavy(tmp_path):
     first = job(WORKS_ON).begin(tmp_path, {"label": "First"})
-    second = start_verb(["info", str(tmp_path)]).begin(tmp_path, {})
-    until(lambda: not second.poll() or second.message == "Waits for First")
+    second = start_command(["info", str(tmp_path)]).begin(tmp_path, {})
+    until(lambda: not second.poll() or second.text == "Waits for First")
     if Path("/proc/self/maps").exists():
         pid = (second.folder / folders.LOCK).read_text().strip()
         assert "PIL" not in Path(f"/proc/{pid}/maps").read_text()
@@ -307,3 +308,11 @@ def test_damaged_folders_are_no_reason_to_fail(tmp_path):
     assert folders.label_of(folder) == "another job" and not folders.is_alive(folder)
     child = Job.found(folder)
     assert not child.poll() and child.state == "failed"
+
+
+def test_the_launcher_and_the_jobs_agree_on_their_variables():
+    """The launcher defines the names again, because it runs before core can be imported."""
+    spec = importlib.util.spec_from_file_location("launcher", ROOT / "launcher.py")
+    launcher = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launcher)
+    assert (launcher.IMPORT_PATH, launcher.JOB) == (runner.IMPORT_PATH, folders.VARIABLE)

@@ -1,4 +1,4 @@
-"""What importing a dataset, a field and a scene have in common."""
+"""The base of the three import operators: dataset, field and baked scene."""
 
 # mypy: disable-error-code="valid-type"
 # Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
@@ -9,19 +9,22 @@ from typing import Any, ClassVar
 import bpy
 
 from ..core.errors import SnergError
-from ..core.jobs.runner import start_verb
-from ..snerg_addon.activity import Work
+from ..core.jobs.runner import start_command
+from ..core.jobs.task import Task
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import RELATIVE_PATHS
-from .job_runner import LongVerb
+from .task_operator import TaskOperator
 
 
-class ImportVerb(LongVerb):
-    """key: the step of the project that the import fills, and the end of the operator's name. what: its name in a sentence."""
+class ImportOperator(TaskOperator):
+    """key: the step of the project that the import fills, and the end of the operator's name. noun: what it imports, in a sentence.
+
+    accepted: a filter for the files that the file browser shows, besides folders.
+    """
 
     key: ClassVar[str]
-    what: ClassVar[str]
-    accepted: ClassVar[str] = "*"  # the files that the browser shows beside folders: those that can be chosen
+    noun: ClassVar[str]
+    accepted: ClassVar[str] = "*"
 
     filepath: bpy.props.StringProperty(
         name="Path", description="The file or folder to import", subtype="FILE_PATH", options={"SKIP_SAVE", *RELATIVE_PATHS}
@@ -31,34 +34,34 @@ class ImportVerb(LongVerb):
     filter_glob: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the path first, where there is a window to ask in."""
+        """Open the file browser first, where there is a window and no path yet."""
         if self.filepath or bpy.app.background or context.window is None:
             return super().invoke(context, event)
-        self._asked = True
+        self._from_browser = True
         self.filepath = bpy.path.abspath("//") if bpy.data.filepath else ""  # else the browser proposes the .blend's own name
         self.filter_glob = self.accepted
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Wait, unless the path comes from the file browser: then start again with the path, beside everything else."""
-        if getattr(self, "_asked", False):
-            verb = getattr(bpy.ops.snerg, f"import_{self.key}")
-            return set(verb("INVOKE_DEFAULT", filepath=self.filepath))
+        """Run and wait. After the file browser: invoke the operator again with the path, so that the window stays free."""
+        if getattr(self, "_from_browser", False):
+            operator = getattr(bpy.ops.snerg, f"import_{self.key}")
+            return set(operator("INVOKE_DEFAULT", filepath=self.filepath))
         return super().execute(context)
 
-    def start(self, context: bpy.types.Context, project: Project) -> Work:
-        """`import` of the command line."""
-        return start_verb(["import", str(self.path()), "--out", str(project.new_version(self.key))])
+    def start(self, context: bpy.types.Context, project: Project) -> Task:
+        """The command `import`."""
+        return start_command(["import", str(self.path()), "--out", str(project.new_version(self.key))])
 
     def path(self) -> Path:
-        """What to import. Raises SnergError when nothing was chosen."""
+        """The file or folder to import. Raises SnergError when none was chosen."""
         if not self.filepath:
-            raise SnergError(f"No path was given; choose the {self.what} to import.")
+            raise SnergError(f"No path was given; choose the {self.noun} to import.")
         return Path(bpy.path.abspath(self.filepath))
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
-        """Note what it came to."""
+        """Record the new version and put it in use."""
         folder = project.version_made(self.key, result["to"])
         remember(project, self.key, folder, result)
-        return f"Imported the {self.what} into {folder}"
+        return f"Imported the {self.noun} into {folder}"

@@ -1,0 +1,73 @@
+"""The bake panel's estimate of time, memory and size, from the field probe that the operator saved: a few milliseconds an update."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.baking.bake import BakeSettings
+from ..core.errors import SnergError
+from ..core.geometry.box import Box
+from ..core.nerf.checkpoint import read_field
+from ..core.study.cost_model import estimate
+from ..core.study.field_probe import FieldProbe
+from ..core.study.field_probe_file import read_survey, stamp
+from .bridge import box_from_blender, box_of, resolution
+from .project import Project, project_of
+
+MAX_CACHED = 16  # estimates: more than there are windows
+_probes: dict[Path, tuple[tuple[int, int], FieldProbe | None]] = {}
+_summaries: dict[str, list[str]] = {}
+
+
+def probe_of(project: Project) -> FieldProbe | None:
+    """The probe of the project's field; None where there is none of its latest version. Cached until a file changes."""
+    try:
+        written = (project.survey.stat().st_mtime_ns, (project.field / "field.npz").stat().st_mtime_ns)
+    except OSError:
+        return None
+    known = _probes.get(project.survey)
+    if known is None or known[0] != written:
+        try:
+            found = read_survey(project.survey, stamp(project.field), lambda: read_field(project.field))
+        except (SnergError, OSError):
+            found = None
+        _summaries.clear()
+        known = _probes[project.survey] = (written, found)
+    return known[1]
+
+
+def lines(context: bpy.types.Context) -> list[str]:
+    """The estimate for the panel's settings and the box, in a few short lines; none where the field has no probe yet."""
+    probe = probe_of(project_of(context.scene))
+    if probe is None:
+        return []
+    settings, box = context.scene.snerg, box_of(context.scene)
+    try:
+        volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
+        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
+        return _lines(probe, volume, wanted, settings.refine, resolution(context.scene))
+    except SnergError as error:
+        return [str(error)]
+
+
+def _lines(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> list[str]:
+    """The estimate's lines, cached because a panel is drawn far more often than its settings change."""
+    key = json.dumps([id(probe), box.to_json(), str(settings), refine, size])
+    if key not in _summaries:
+        found = estimate(probe, box, settings, refine, size)
+        if len(_summaries) > MAX_CACHED:
+            _summaries.clear()
+        _summaries[key] = summary(found.to_json())
+    return _summaries[key]
+
+
+def summary(value: dict[str, Any]) -> list[str]:
+    """Two lines for an estimate (`Estimate.to_json`), rounded as its accuracy allows."""
+    seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
+    time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
+    memory = f"{value['peak_megabytes'] / 1000:.1f} GB of memory"
+    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {value['preview']:.2g} s per preview"]

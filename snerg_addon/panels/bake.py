@@ -1,0 +1,42 @@
+"""The bake panel: resolution, estimate, and the baked scene."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import bpy
+
+from .. import estimate_panel
+from ..project import project_of
+from .layout import LINE_WIDTH, StepPanel, decibels, draw_box, joined, megabytes
+from .versions import draw_versions, made_with
+
+
+class SNERG_PT_bake(StepPanel, bpy.types.Panel):
+    """The baked scene"""
+
+    bl_label = "Bake"
+    bl_idname = "SNERG_PT_bake"
+    done = "scene"
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """The settings, the estimate, the buttons, and the versions."""
+        project = project_of(context.scene)
+        column = layout.column(align=True)
+        count = column.row(align=True)
+        count.active = settings.voxel_size == 0
+        count.prop(settings, "resolution")
+        column.prop(settings, "voxel_size")
+        column.prop(settings, "samples")
+        layout.prop(settings, "refine")
+        estimate = estimate_panel.lines(context)
+        draw_box(layout, *(part for line in estimate for part in textwrap.wrap(line, LINE_WIDTH)))
+        layout.operator("snerg.estimate", icon="TIME", text="Estimate Again" if estimate else "Estimate")
+        layout.operator("snerg.bake", icon="RENDER_STILL")
+        layout.operator("snerg.import_scene", icon="IMPORT")
+        if project.has("scene"):
+            note = project.notes().get("scene", {})
+            blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
+            draw_box(layout, joined(decibels(note), blocks, megabytes(note)), *made_with(project, "scene"))
+        draw_versions(layout, project, "scene")

@@ -1,0 +1,75 @@
+"""The dataset panel: cameras to render from, or photographs to import."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+import bpy
+
+from .. import activity
+from ..bridge import box_of, resolution
+from ..capture import views_rendered
+from ..project import Project, no_dataset, project_of
+from .layout import LINE_WIDTH, StepPanel, draw_box, joined, megabytes
+
+
+class SNERG_PT_dataset(StepPanel, bpy.types.Panel):
+    """The images to train on"""
+
+    bl_label = "Dataset"
+    bl_idname = "SNERG_PT_dataset"
+    done = "dataset"
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """The cameras, the buttons, and the dataset in use."""
+        project = project_of(context.scene)
+        draw_cameras(layout, settings, context.scene)
+        layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
+        draw_render(layout, project)
+        layout.operator("snerg.import_dataset", icon="IMPORT")
+        layout.prop(settings, "dataset", text="Train On")
+        if settings.dataset and (problem := no_dataset(project, settings.dataset)):
+            draw_box(layout, *textwrap.wrap(problem, LINE_WIDTH))
+        note = project.notes().get("dataset", {})
+        if note and not settings.dataset:
+            views = f"{note.get('train')} + {note.get('test')} test views"
+            draw_box(layout, views, joined(f"{note.get('width')} x {note.get('height')} px", megabytes(note)))
+
+
+def draw_cameras(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
+    """Which cameras are rendered, and which of their views are held out."""
+    layout.prop(settings, "cameras")
+    column = layout.column(align=True)
+    if settings.cameras == "RIG":
+        column.prop(settings, "rig_count")
+        column.prop(settings, "rig_shape")
+        column.prop(settings, "rig_angle")
+        column.prop(settings, "rig_distance")
+        if box_of(scene) is None:
+            column.label(text="The rig needs a box", icon="INFO")
+    column.prop(settings, "test_every")
+
+
+def draw_render(layout: bpy.types.UILayout, project: Project) -> None:
+    """The render button; of an unfinished rendering_key, how far it came and what can be done with it."""
+    rendered, total = views_rendered(project.own_dataset)
+    if not rendered or any(running.step == "dataset" for running in activity.current(project.folder)):
+        layout.operator("snerg.render_dataset", icon="RENDER_STILL")
+        return
+    column = layout.column(align=True)
+    column.label(text=f"{rendered} of {total} views are rendered", icon="INFO")
+    column.operator("snerg.render_dataset", icon="RENDER_STILL", text="Render Missing Views").goes_on = True
+    column.operator("snerg.render_dataset", text="Render All Again").goes_on = False
+    column.operator("snerg.use_views")
+
+
+def camera_count(context: bpy.types.Context) -> str:
+    """'12 cameras': how many views will be rendered."""
+    settings = context.scene.snerg
+    if settings.cameras == "RIG":
+        count = settings.rig_count
+    else:
+        cameras = [thing for thing in context.scene.objects if thing.type == "CAMERA"]
+        count = len(cameras) if settings.cameras == "ALL" else sum(camera.select_get() for camera in cameras)
+    return "1 camera" if count == 1 else f"{count} cameras"

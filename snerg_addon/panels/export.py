@@ -1,0 +1,40 @@
+"""The export panel: a web page, or files for other programs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..project import project_of
+from ..properties import LOSSY
+from .layout import StepPanel, draw_box, joined, megabytes
+
+
+class SNERG_PT_export(StepPanel, bpy.types.Panel):
+    """The baked scene outside Blender"""
+
+    bl_label = "Export"
+    bl_idname = "SNERG_PT_export"
+
+    def is_done(self, context: bpy.types.Context) -> bool:
+        """Whether there is a web page or an exported scene."""
+        project = project_of(context.scene)
+        return project.has("web") or project.has("reference")
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """The settings, the buttons, and the size of what was exported."""
+        layout.prop(settings, "web_cameras")
+        column = layout.column(align=True)
+        column.prop(settings, "codec")
+        if settings.codec in LOSSY:
+            column.prop(settings, "quality")
+        layout.prop(settings, "single_file")
+        layout.operator("snerg.export_web", icon="URL")
+        layout.operator("snerg.export_scene", icon="EXPORT")
+        notes = project_of(context.scene).notes()
+        draw_box(
+            layout,
+            joined("Web page", megabytes(notes["web"])) if "web" in notes else "",
+            joined("Scene files", megabytes(notes["reference"])) if "reference" in notes else "",
+        )

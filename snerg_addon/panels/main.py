@@ -1,0 +1,80 @@
+"""The main panel: the scene's project, the running tasks, and the next step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from .. import activity, saving
+from ..bridge import PREVIEW, box_of
+from ..owner import adoptable_project
+from ..project import project_of
+from .layout import SidebarPanel, draw_sentence
+
+
+class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
+    """The scene's project and the running tasks"""
+
+    bl_label = "SNeRG"
+    bl_idname = "SNERG_PT_main"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The project, the running tasks or else the next step, and the outcome of the last task."""
+        layout, scene = self.layout, context.scene
+        row = layout.row(align=True)
+        row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
+        row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
+        project = project_of(scene).folder
+        draw_project(layout, scene)
+        for running in activity.current(project):
+            draw_task(layout, running)
+        if report := activity.last_report(project):
+            draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR")
+        if not activity.current(project):
+            layout.label(text=next_step(scene), icon="FORWARD")
+
+
+def draw_project(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Which file and scene the project belongs to, and another project that the artist may want in its place."""
+    if not bpy.data.filepath:
+        draw_sentence(layout.column(align=True), "The project moves beside the .blend when you save the file.", "INFO")
+        for folder in saving.orphaned_projects()[:1]:
+            row = layout.row()
+            row.label(text="Project of a file never saved")
+            row.operator("snerg.adopt_project", text="Use It Here").folder = str(folder)
+        return
+    layout.label(text=f"Project of {Path(bpy.data.filepath).name}, {scene.name}", icon="FILE_BLEND")
+    if other := adoptable_project(scene):
+        folder, owner = other
+        column = layout.box().column(align=True)
+        sentence = f"The folder {folder.parent.name}/{folder.name} belongs to {owner}. This scene starts its own project."
+        draw_sentence(column, sentence, "INFO")
+        column.operator("snerg.adopt_project").folder = str(folder)
+
+
+def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
+    """A task's progress bar, the button that stops it, and its sticky notes."""
+    task = running.task
+    column = layout.column(align=True)
+    column.label(text=running.label, icon="PAUSE" if task.state == "waiting" else "SORTTIME")
+    row = column.row(align=True)
+    row.progress(factor=task.fraction, text=task.text or f"{task.fraction:.0%}")
+    stop = row.row(align=True)
+    stop.enabled = not task.cancelling
+    stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
+    column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
+    for note in task.notes:
+        draw_sentence(column, note, "DOT")
+
+
+def next_step(scene: bpy.types.Scene) -> str:
+    """What the artist can do next, in a few words."""
+    project = project_of(scene)
+    if not project.has("scene"):
+        if not project.has("field"):
+            return "Next: train a field" if project.has("dataset") else "Next: render or import a dataset"
+        return "Next: bake" if box_of(scene) else "Next: add a box, then bake"
+    if bpy.data.images.get(PREVIEW) is None:
+        return "Next: preview or export"
+    return "Next: export the web page" if not project.has("web") else "All steps are done"
