@@ -277,10 +277,10 @@ def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_vi
     assert report["gain_db"] > 0.5 and better.network is not None
     kept = (better.network.weights_0 != 0).any(axis=1)
     assert np.array_equal(kept, np.arange(34) % 2 == 0)
-    gathered = march_training_views(scene, dataset, RefineSettings(), lambda f, w: None)
+    pixels = march_training_views(scene, dataset, RefineSettings(), lambda f, w: None)
     rays = dataset.cameras[5].rays()[1].astype(np.float32)  # of twelve views the one that is judged by
-    own = (np.abs(gathered.directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
-    assert own[: gathered.held].all() and not own[gathered.held :].any() and gathered.held > 100
+    own = (np.abs(pixels.view_directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
+    assert own[: pixels.validation].all() and not own[pixels.validation :].any() and pixels.validation > 100
 
 
 @pytest.mark.hard_case(8, 43)
@@ -310,8 +310,8 @@ def test_what_refining_aims_at():
             whole = march_training_views(scene, Views(None, image), settings, lambda f, w: None)
             part = march_training_views(scene, Views(mask, image), settings, lambda f, w: None)
             assert len(part.colour) == 30 < len(whole.colour)
-            final = whole.colour + view_residual(np, scene.network, whole.colour, whole.features, whole.directions)
-            assert np.abs(np.clip(final, 0, 1) - np.clip(whole.wanted, 0, 1)).max() < 0.02
+            final = whole.colour + view_residual(np, scene.network, whole.colour, whole.features, whole.view_directions)
+            assert np.abs(np.clip(final, 0, 1) - np.clip(whole.target, 0, 1)).max() < 0.02
 
 
 def test_a_diffuse_scene_is_not_refined(tmp_path):
