@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
@@ -155,21 +156,19 @@ def fit(network: ViewNetwork, pixels: TrainingPixels, settings: RefineSettings, 
     return as_numpy(best_params), report
 
 
-def _epochs(params: Any, training: tuple[NDArray[Any], ...], settings: RefineSettings) -> Callable[[], Any]:
+def _epochs(params: ViewNetwork, training: tuple[NDArray[Any], ...], settings: RefineSettings) -> Callable[[], ViewNetwork]:
     """A function that runs one more epoch over the training pixels, in random order, and returns the parameters."""
     batch = min(settings.batch, len(training[0]))
     steps = max(1, len(training[0]) // batch)
-    step = jax.jit(partial(adam_step, settings.rate, steps * settings.epochs))
-    moments = jax.tree.map(jnp.zeros_like, (params, params))
-    rng, done = np.random.default_rng(settings.seed), 0
+    adam = optax.adam(optax.cosine_decay_schedule(settings.rate, steps * settings.epochs, FINAL_RATE))
+    step, state, rng = jax.jit(partial(adam_step, adam)), adam.init(params), np.random.default_rng(settings.seed)
 
-    def run_epoch() -> Any:
-        nonlocal params, moments, done
+    def run_epoch() -> ViewNetwork:
+        nonlocal params, state
         order = rng.permutation(len(training[0]))
         for i in range(steps):
             rows = order[i * batch : (i + 1) * batch]
-            params, moments = step(params, moments, jnp.float32(done), tuple(column[rows] for column in training))
-            done += 1
+            params, state = step(params, state, tuple(column[rows] for column in training))
         return params
 
     return run_epoch
@@ -185,16 +184,13 @@ def squared_error(network: ViewNetwork, colour: Any, features: Any, view_directi
     return ((colour + view_residual(jnp, network, colour, features, view_directions) - target) ** 2).mean()
 
 
-def adam_step(rate: float, total: int, params: Any, moments: Any, step: Any, data: tuple[Any, ...]) -> tuple[Any, Any]:
-    """One step of Adam (Kingma and Ba 2015), of `total`, with cosine decay of the rate to FINAL_RATE of it.
+def adam_step(adam: optax.GradientTransformation, params: ViewNetwork, state: Any, data: tuple[Any, ...]) -> tuple[ViewNetwork, Any]:
+    """One step of the optimiser on the squared error of some pixels; returns the parameters and the optimiser's state.
 
-    Returns the parameters and the moments. Rows of the first layer that are all 0 stay 0: frequencies of the view direction that training
-    left out (TrainSettings.view_degrees).
+    Rows of the first layer that are all 0 stay 0: frequencies of the view direction that training left out (TrainSettings.view_degrees).
     """
     gradient = jax.grad(squared_error)(params, *data)
     gradient = gradient._replace(weights_0=gradient.weights_0 * (params.weights_0 != 0).any(axis=1, keepdims=True))
-    now = rate * (FINAL_RATE + (1 - FINAL_RATE) * 0.5 * (1 + jnp.cos(jnp.pi * step / total)))
-    m = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, moments[0], gradient)
-    v = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g * g, moments[1], gradient)
-    unbias = jnp.sqrt(1 - 0.999 ** (step + 1)) / (1 - 0.9 ** (step + 1))
-    return jax.tree.map(lambda p, m, v: p - now * unbias * m / (jnp.sqrt(v) + 1e-8), params, m, v), (m, v)
+    updates, state = adam.update(gradient, state)
+    updated: ViewNetwork = optax.apply_updates(params, updates)
+    return updated, state

@@ -9,7 +9,7 @@ from scenes import looking, make_dataset, random_network
 from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.baking.fine_tune import RefineSettings, march_training_views, refine
 from snerg.core.data.load import read_dataset
-from snerg.core.errors import Cancelled, SnergError
+from snerg.core.errors import Cancelled, SnergError, needs_jax
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -312,6 +312,11 @@ def test_what_refining_aims_at():
             assert len(part.colour) == 30 < len(whole.colour)
             final = whole.colour + view_residual(np, scene.network, whole.colour, whole.features, whole.view_directions)
             assert np.abs(np.clip(final, 0, 1) - np.clip(whole.target, 0, 1)).max() < 0.02
+
+
+def test_a_missing_optax_is_an_error_that_says_what_to_install():
+    with pytest.raises(SnergError, match="pip install optax"), needs_jax():
+        raise ImportError("No module named 'optax'")
 
 
 def test_a_diffuse_scene_is_not_refined(tmp_path):
