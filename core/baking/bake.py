@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -102,35 +102,34 @@ def bake(
     """
     check_field(field)
     voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
-    channels = 8 if settings.network and field.network is not None else 4
-    measures = field.ndc is not None and settings.opacity_correction is None  # marches the scene, which takes an acceleration structure
-    check_memory(field, box, voxel_grid, channels * (1 if settings.quantise else 4) + (ACCELERATION_BYTES if measures else 0))
+    check_memory(field, box, voxel_grid, voxel_bytes(field, settings))
     cache = ResumeCache(resume, resume_key(field, box, cameras, settings) if resume is not None else "")
     tell, timer = TimeLeft(progress), StageTimer()
     culled = _cull(field, voxel_grid, cameras, settings, cache, tell, timer)
     supersampling, evidence = settings.supersampling, None
     if supersampling == AUTO_SUPERSAMPLING:
         supersampling, evidence = choose_supersampling(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
-
-    def tell_prefilter(fraction: float) -> None:
-        tell(SHARES["visibility"] + (SHARES["prefilter"] - SHARES["visibility"]) * fraction, "Baking colour and opacity")
-
-    quantised, seed = settings.quantise, settings.seed
-    cells, indirection = fill_atlas(
-        field, voxel_grid, culled.mask, culled.indirection, channels, supersampling, seed, quantised, cache, tell_prefilter
-    )
+    cells, indirection = _fill(field, voxel_grid, culled, supersampling, settings, cache, tell)
     timer.lap("prefilter")
     about = _about(settings, timer, culled, supersampling, evidence, indirection)
-    network = field.network if channels == 8 else None
+    network = field.network if channels_of(field, settings) == 8 else None
     grid = (voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape)
     scene = Scene(*grid, indirection, cells, network, about={"bake": about}, ndc=field.ndc)
-    share = SHARES["prefilter"]
-    scene = decide_opacity_correction(
-        scene, field, cameras, settings, lambda f: tell(share + (1 - share) * f, "Measuring the opacity correction")
-    )
+    scene = decide_opacity_correction(scene, field, cameras, settings, tell)
     timer.lap("holes")
     tell(1.0, "Baking")
     return scene
+
+
+def channels_of(field: Field, settings: BakeSettings) -> int:
+    """Channels of the scene's cells: 8, or 4 in a diffuse scene (see Scene.cells)."""
+    return 8 if settings.network and field.network is not None else 4
+
+
+def voxel_bytes(field: Field, settings: BakeSettings) -> int:
+    """Bytes that a voxel takes at the peak of a bake: its values, and the acceleration structure where the scene is marched."""
+    marched = field.ndc is not None and settings.opacity_correction is None
+    return channels_of(field, settings) * (1 if settings.quantise else 4) + (ACCELERATION_BYTES if marched else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +169,25 @@ def _cull(
     return _Culled(mask, indirection, occupied.opacity_lost, count, visible, statistics)
 
 
+def _fill(
+    field: Field,
+    voxel_grid: VoxelGrid,
+    culled: _Culled,
+    supersampling: int,
+    settings: BakeSettings,
+    cache: ResumeCache,
+    tell: Progress,
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """`fill_atlas` of the voxels that culling left."""
+    begin, end = SHARES["visibility"], SHARES["prefilter"]
+    channels, seed, quantised = channels_of(field, settings), settings.seed, settings.quantise
+
+    def tell_fraction(fraction: float) -> None:
+        tell(begin + (end - begin) * fraction, "Baking colour and opacity")
+
+    return fill_atlas(field, voxel_grid, culled.mask, culled.indirection, channels, supersampling, seed, quantised, cache, tell_fraction)
+
+
 def _about(
     settings: BakeSettings,
     timer: StageTimer,
@@ -198,17 +216,20 @@ def _about(
     return about
 
 
-def decide_opacity_correction(
-    scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]
-) -> Scene:
+def decide_opacity_correction(scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Progress) -> Scene:
     """The scene with opacity correction (eq. 9) if the settings ask for it.
 
     If they leave it open (None), only a forward-facing scene gets it: when its camera rays are closer to the field's with it, or when it
-    has no cameras. Errors of the comparison go to scene.about["bake"]["holes"]. tell: called with the fraction done.
+    has no cameras. Errors of the comparison go to scene.about["bake"]["holes"].
     """
+    begin = SHARES["prefilter"]
+
+    def tell_fraction(fraction: float) -> None:
+        tell(begin + (1 - begin) * fraction, "Measuring the opacity correction")
+
     correct = settings.opacity_correction
     if correct is None and scene.ndc is not None and cameras and len(scene.cells):
-        errors = opacity_correction_errors(field, scene, cameras, settings.seed, tell)
+        errors = opacity_correction_errors(field, scene, cameras, settings.seed, tell_fraction)
         scene.about["bake"]["holes"] = errors
         correct = errors["with"] < errors["without"]
     if correct is None:

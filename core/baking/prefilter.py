@@ -59,25 +59,36 @@ def fill_atlas(
     def work(part: int) -> Arrays:
         row, *local = np.nonzero(unpack_mask(mask[chunks[part]]))
         voxels = coordinates[chunks[part]][row] * DATA_VOXELS + np.stack(local, axis=-1)
-        colour, alpha = average_in_voxels(field, voxel_grid, voxels, supersampling, seed)
-        values = np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1)
-        return {"values": quantize(values, voxel_uniform(voxels, channels, seed + 1)) if quantised else values}
+        return {"values": _voxel_values(field, voxel_grid, voxels, channels, supersampling, seed, quantised)}
 
     def is_valid(part: int, arrays: Arrays) -> bool:
         return arrays_match(arrays, {"values": ((int(sizes[chunks[part]].sum()), channels), kind)})
 
     cells = np.zeros((len(coordinates), *(CELL_VOXELS,) * 3, channels), np.uint8 if quantised else np.float32)
     for part, arrays in run_parts("prefilter", len(chunks), work, cache, lambda f: tell((1 - APRONS) * f), is_valid):
-        rows = chunks[part]
-        voxels = unpack_mask(mask[rows])
-        cells[rows, 1:-1, 1:-1, 1:-1][voxels] = arrays["values"]
-        voxels[voxels] = arrays["values"].any(axis=-1)
-        mask[rows] = pack_mask(voxels)
+        mask[chunks[part]] = _store(cells[chunks[part]], mask[chunks[part]], arrays["values"])
     kept = number_blocks(touched_blocks(mask, touched))
     cells = compact_cells(cells, touched[kept >= 0])
     for done in fill_aprons(cells, kept):
         tell(1 - APRONS + APRONS * done / len(cells))
     return cells, kept
+
+
+def _voxel_values(
+    field: Field, voxel_grid: VoxelGrid, voxels: NDArray[Any], channels: int, supersampling: int, seed: int, quantised: bool
+) -> NDArray[Any]:
+    """Values [N, C] of voxels with indices [N, 3], as cells store them."""
+    colour, alpha = average_in_voxels(field, voxel_grid, voxels, supersampling, seed)
+    values = np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1)
+    return quantize(values, voxel_uniform(voxels, channels, seed + 1)) if quantised else values
+
+
+def _store(cells: NDArray[Any], mask: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+    """Write values [N, C] of the voxels of a mask [B, 30, 30] to its cells, in place; returns the mask of those that are not 0."""
+    voxels = unpack_mask(mask)
+    cells[:, 1:-1, 1:-1, 1:-1][voxels] = values
+    voxels[voxels] = values.any(axis=-1)
+    return pack_mask(voxels)
 
 
 def chunk_blocks(sizes: NDArray[Any]) -> list[slice]:

@@ -52,7 +52,7 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
     return Camera(size, size, (1.2 * size, 1.2 * size), (size / 2, size / 2), looking(eye, (0, 0, 0)), near=near)
 
 
-def test_lattice_covers_the_box_and_a_voxel_more():
+def test_the_voxel_grid_covers_the_box_and_one_voxel_more():
     voxel_grid = VoxelGrid.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
     assert voxel_grid.shape == (66, 34, 18)
     assert np.allclose(voxel_grid.voxel_centres(np.array([[1, 1, 1]]) - 0.5), 0)
@@ -153,18 +153,18 @@ def test_a_sheet_of_one_voxel_is_found_wherever_it_lies():
         assert frame.alpha[4:12, 4:12].min() > 0.5
 
 
-def test_what_no_camera_sees_is_left_out():
+def test_invisible_voxels_are_culled():
     eyes = [(3, 0, 0.2), (-3, 0, 0.1), (0, 3, 0), (0, -3, 0.3), (0.2, 0.1, 3), (0.3, 0, -3)]
     cameras = [camera_at(eye, 96) for eye in eyes]
     whole, seen = bake(Ball(), BOX, (), BakeSettings(90, supersampling=2)), bake(Ball(), BOX, cameras, BakeSettings(90, supersampling=2))
-    filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
-    assert filled[1] < 0.6 * filled[0]  # the inside is gone
+    occupied = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
+    assert occupied[1] < 0.6 * occupied[0]  # the inside is gone
     for camera in cameras:
         assert np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over()).max() < 3 / 255
 
 
 @pytest.mark.hard_case(48)
-def test_the_jitter_moves_nothing_and_is_seeded():
+def test_jitter_keeps_the_centroid_and_is_seeded():
     scene = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, supersampling=16))
     again = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, supersampling=16))
     assert np.array_equal(scene.cells, again.cells)
@@ -227,7 +227,7 @@ def test_view_dependence_in_every_sample_cannot_be_baked(view):
         bake(Ball(view=view), BOX, (), BakeSettings(32))
 
 
-def test_holes_are_filled_where_asked_or_facing_forward():
+def test_opacity_correction_is_on_where_asked_or_forward_facing():
     assert not bake(Ball(), BOX, (), BakeSettings(16)).opacity_correction
     assert bake(Ball(), BOX, (), BakeSettings(16, opacity_correction=True)).opacity_correction
     assert bake(Ball(ndc=Ndc(np.eye(4), (1.0, 1.0), 1.0)), BOX, (), BakeSettings(16)).opacity_correction
@@ -268,7 +268,7 @@ def test_refining_gains_and_never_loses(tmp_path):
     assert np.array_equal(again.network.weights_0, better.network.weights_0)
 
 
-def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_views(tmp_path):
+def test_refining_keeps_the_frequencies_of_training_and_validates_on_whole_views(tmp_path):
     dataset = read_dataset(make_dataset(tmp_path / "data"))
     network = random_network(3)
     network = network._replace(weights_0=np.asarray(network.weights_0) * (np.arange(34) % 2 == 0)[:, None].astype(np.float32))
@@ -278,13 +278,13 @@ def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_vi
     kept = (better.network.weights_0 != 0).any(axis=1)
     assert np.array_equal(kept, np.arange(34) % 2 == 0)
     pixels = march_training_views(scene, dataset, RefineSettings(), lambda f, w: None)
-    rays = dataset.cameras[5].rays()[1].astype(np.float32)  # of twelve views the one that is judged by
+    rays = dataset.cameras[5].rays()[1].astype(np.float32)  # the validation view of twelve
     own = (np.abs(pixels.view_directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
     assert own[: pixels.validation].all() and not own[pixels.validation :].any() and pixels.validation > 100
 
 
 @pytest.mark.hard_case(8, 43)
-def test_what_refining_aims_at():
+def test_targets_of_refining():
     """Masked pixels are left out; over another background the network, which is defined over white, has the same to make up for."""
 
     class Views:
@@ -373,7 +373,7 @@ def test_this_machine_says_what_memory_it_has():
 
 
 @pytest.mark.hard_case(52)
-def test_what_adds_up_is_kept_and_what_does_not_is_told():
+def test_opacity_that_adds_up_is_kept_and_the_rest_is_reported():
     """100 voxels just under a threshold of 0.005 are 39% opaque, at any voxel size; nothing of a ray's light is lost untold."""
 
     class Fog(Ball):
@@ -391,7 +391,7 @@ def test_what_adds_up_is_kept_and_what_does_not_is_told():
             assert len(scene.cells) == 0 and closed <= scene.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
 
 
-def test_more_samples_are_taken_where_they_help():
+def test_supersampling_is_used_where_it_helps():
     """A pattern finer than a voxel needs several; a smooth one does not, and blurring it is no better."""
 
     class Rods(Ball):
@@ -405,7 +405,7 @@ def test_more_samples_are_taken_where_they_help():
     assert errors[fine["samples"]] < 0.9 * errors[1]
 
 
-def test_what_is_left_out_for_comparison():
+def test_ablations():
     ball, cameras = Ball(network=random_network(3)), (camera_at((3, 0, 0)),)
     plain = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2))
     whole = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2, visibility=False))

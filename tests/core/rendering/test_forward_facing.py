@@ -121,7 +121,7 @@ def test_planes_of_the_world_are_where_they_are(planes, index, kind):
     assert np.abs(frame.depth / distance - 1)[clear].max() < 0.06  # a voxel is a 25th of the distance to the plane behind
 
 
-def test_what_no_camera_sees_is_left_out(planes):
+def test_invisible_voxels_are_culled(planes):
     field, seen, cameras = planes
     whole = bake(field, field.domain.world_box(), (), BakeSettings(128, supersampling=2))
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
