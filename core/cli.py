@@ -30,8 +30,7 @@ from .commands.render import render_views
 from .commands.train import settings_of, train_field
 from .data.dataset import DatasetOptions
 from .errors import EXIT_ERROR, EXIT_STOPPED, SnergError, clean, needs_jax, printable
-from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
-from .export.scene_files import PNG
+from .export.codecs import LOSSLESS, PNG, SUFFIXES, CodecSettings
 from .jobs import interrupt
 from .jobs.protocol import run_job
 from .jobs.task import Outcome
