@@ -252,6 +252,14 @@ def test_settings_that_make_no_sense(settings):
         BakeSettings(**settings)
 
 
+def test_settings_keep_their_names_in_files():
+    settings = BakeSettings(96, supersampling=4, opacity_correction=True)
+    assert settings.to_json()["samples"] == 4 and settings.to_json()["fill_holes"] is True
+    assert BakeSettings.from_json(settings.to_json()) == settings
+    with pytest.raises(TypeError):
+        BakeSettings.from_json({"voxels": 96})
+
+
 def test_a_box_without_volume():
     with pytest.raises(SnergError, match="sides"):
         Box.axis_aligned([0, 0, 0], [1, 0, 1])
