@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,9 @@ from ..nerf.shading import ray_colour, sample_values, unit
 from ..nerf.volume_rendering import MAX_OPTICAL_DEPTH, composite_rows, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over
-from .occupancy_sampler import Batch
 from .ray_dataset import RayDataset
-
-if TYPE_CHECKING:
-    from .validation import Rays
+from .sampler import Batch
+from .validation import Rays
 
 UPDATE_CELLS = 2**16  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 256  # steps
@@ -32,7 +30,7 @@ PADDING = 1e-5  # of the fine samples are spread evenly over a ray
 
 
 class HierarchicalSampler:
-    """Draws rays; the loss samples them. See train.py for what a scheme is.
+    """Draws rays; the loss samples them. It implements `sampler.Sampler`.
 
     The occupancy grid takes no part in sampling: it says where the trained field holds something.
     """

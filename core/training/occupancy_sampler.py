@@ -22,6 +22,7 @@ from ..nerf.volume_rendering import composite, depth_before, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over, softness
 from .ray_dataset import RayDataset
+from .sampler import Batch
 from .termination_depth import DARK, LEFT, RayEnds
 from .validation import Rays, packed_colours
 
@@ -31,15 +32,6 @@ UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may be given up
 SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (math.inf, 1))  # (until this fraction of a minute's training, times the final spacing)
 STEPS_A_MINUTE = 1200  # of a training that has steps and no time, about
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """What the loss of one step needs, arrays always of the same shapes; and how many samples and rays are real."""
-
-    arrays: dict[str, Any]
-    samples: int
-    rays: int
 
 
 @dataclass(frozen=True, eq=False)

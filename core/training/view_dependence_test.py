@@ -10,7 +10,7 @@ a step at the full rate happens to do more to either side than what there is to 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,11 +21,10 @@ from ..nerf.field import Field
 from ..nerf.render import integrate
 from ..nerf.shading import ray_colour
 from ..nerf.volume_rendering import mean_distance
+from .config import TrainSettings
 from .decisions import Decision
+from .ray_dataset import RayDataset
 from .validation import Rays
-
-if TYPE_CHECKING:
-    from .trainer import Trainer
 
 AT = 0.3  # of the training: what view dependence there is shows by then
 LEAST = 100  # steps before that; after fewer nothing can be told
@@ -57,18 +56,16 @@ def set_aside(views: int) -> NDArray[Any]:
     return aside
 
 
-def run(trainer: Trainer) -> None:
-    """Decide, and let the trainer go on as decided."""
-    if trainer.step < LEAST:
-        trainer.decide(Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it."))
-        return
-    aside = trainer.aside
-    rays = Rays(trainer.pool, aside if aside.any() else None, RAYS, trainer.settings)
-    cameras = [camera for camera, out in zip(trainer.dataset.cameras, aside, strict=True) if not out]
-    decision = judged(*errors(trainer.field(), rays, cameras), int(aside.sum()))
-    if not trainer.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
-        trainer.params = trainer.devices.place(silenced(trainer.devices.local(trainer.params)))
-    trainer.decide(decision)
+def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any], settings: TrainSettings) -> Decision:
+    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short to tell.
+
+    step: steps done. field: as trained so far, deferred. validation_views: bool [views], not trained on so far.
+    """
+    if step < LEAST:
+        return Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it.")
+    tested = Rays(rays, validation_views if validation_views.any() else None, RAYS, settings)
+    cameras = [camera for camera, left_out in zip(field.cameras, validation_views, strict=True) if not left_out]
+    return judged(*errors(field, tested, cameras), int(validation_views.sum()))
 
 
 def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
