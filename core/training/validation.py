@@ -1,4 +1,7 @@
-"""How well a field that is being trained shows views that it never saw: a fixed set of their rays."""
+"""Validation while training: the error of a fixed set of rays of views that are not trained on.
+
+Packed samples are composited by volume rendering (NeRF, eq. 3; Max 1995).
+"""
 
 from __future__ import annotations
 
