@@ -26,7 +26,7 @@ from .occupancy_sampler import OccupancySampler
 from .ray_dataset import RayDataset
 from .sampler import Sampler
 from .silhouette import border_share, silhouette
-from .validation import HELD_OUT_RAYS, Rays, some_views
+from .validation import HELD_OUT_RAYS, ValidationRays, some_views
 
 Masks = list[NDArray[Any] | None]
 DECISION_RAYS = 1024  # training rays that the decisions on sampling are measured on
@@ -47,7 +47,7 @@ class Prepared:
     params: Any  # initial parameters, a tree of NumPy arrays
     decisions: tuple[Decision, ...]  # of effects that the images and cameras decide
     validation_views: NDArray[Any]  # bool [views], not trained on until the view-dependence test is done
-    held_out: Rays | None  # rays of views that are never trained on; None where the dataset has no such split
+    held_out: ValidationRays | None  # rays of views that are never trained on; None where the dataset has no such split
 
 
 def prepare(dataset: Dataset, settings: TrainSettings, progress: Progress, held_out: Dataset | None) -> Prepared:
@@ -153,10 +153,10 @@ def make_sampler(
     return HierarchicalSampler(decided, rays, domain, occupied, rng), [sampling, disparity]
 
 
-def held_out_rays(dataset: Dataset, settings: TrainSettings, domain: Domain, ndc: Ndc | None) -> Rays:
+def held_out_rays(dataset: Dataset, settings: TrainSettings, domain: Domain, ndc: Ndc | None) -> ValidationRays:
     """A fixed set of rays of views that are never trained on."""
     images = (dataset.read(i) for i in range(len(dataset.views)))
-    return Rays(RayDataset(images, dataset.cameras, domain, masks_of(dataset), ndc), None, HELD_OUT_RAYS, settings)
+    return ValidationRays(RayDataset(images, dataset.cameras, domain, masks_of(dataset), ndc), None, HELD_OUT_RAYS, settings)
 
 
 def masks_of(dataset: Dataset) -> Masks:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from .config import TrainSettings
-from .validation import Rays
+from .validation import ValidationRays
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Sampler(Protocol):
     def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
         """Update the sampler after a step from its parameters and from the loss's aux."""
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
+    def colours(self, params: Any, rays: ValidationRays, fraction: float) -> NDArray[Any]:
         """Colours [R, 3] of validation rays over their background, sampled as training samples at this fraction."""
 
     def state(self) -> dict[str, NDArray[Any]]:

@@ -18,7 +18,7 @@ LEFT = 1e-2  # a ray that was cut while its transmittance was above this is left
 EASE = 0.25  # weight of a new, smaller depth in a tile's running mean
 
 
-class RayEnds:
+class TerminationDepths:
     """The termination depth of each small tile of pixels, as measured while training.
 
     Estimating it from an occupancy grid makes training collapse: some rays are cut in front of their surface, training raises the
@@ -35,7 +35,7 @@ class RayEnds:
         self.across = -(-self.widths // self.side)
         tiles = self.across * -(-heights // self.side)
         self.first = np.cumsum(tiles) - tiles
-        self.reach = np.full(int(tiles.sum()), np.inf, np.float32)
+        self.depths = np.full(int(tiles.sum()), np.inf, np.float32)
 
     def tile(self, index: NDArray[Any]) -> NDArray[Any]:
         """The tiles [N] of pixels by number [N]."""
@@ -48,7 +48,7 @@ class RayEnds:
         largest distance counts."""
         order = np.argsort(end, kind="stable")
         tile, end = tile[order], end[order]
-        kept = self.reach[tile]
+        kept = self.depths[tile]
         known = np.isfinite(kept) & np.isfinite(end)
         closer = np.where(known, kept, 0) * np.float32(1 - EASE) + np.where(known, end, 0) * np.float32(EASE)
-        self.reach[tile] = np.where(known & (end < kept), closer, end)
+        self.depths[tile] = np.where(known & (end < kept), closer, end)

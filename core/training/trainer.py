@@ -1,4 +1,4 @@
-"""The training loop: steps until the time or the steps are over, scores, saves, and stops where it is told to (needs JAX)."""
+"""The training loop: steps until the time or the steps are over, scores, saves, and stops on request (needs JAX)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from .parallel import Devices
 from .prepare import held_out_of, prepare
 from .saving import Saver, TrainProgress, trained_field
 from .state import StepReport, TrainStep, initial_state, restored_state, state_arrays
-from .validation import Rays
+from .validation import ValidationRays
 
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two scores of held-out rays, and the share of the time that they may take
@@ -69,7 +69,7 @@ class Trainer:
         Raises SnergError when PATIENCE steps in a row are not finite; the parameters are those before them. Raises Cancelled when
         another process of the training stops.
         """
-        began, told, scored = time.perf_counter() - self.state.elapsed, 0.0, self.state.elapsed
+        began, reported, scored = time.perf_counter() - self.state.elapsed, 0.0, self.state.elapsed
         compiled = False
         while self.fraction() < 1:
             if self.state.undecided and self.fraction() >= view_dependence_test.AT:
@@ -84,8 +84,8 @@ class Trainer:
                 self.held_out_psnr = mse_to_psnr(float(self.errors(self.prepared.held_out).mean()))
                 took = time.perf_counter() - began - elapsed
                 scored = elapsed + max(took / SCORE_SHARE - SCORE_EVERY, 0)
-            if ended or elapsed - told > TELL_EVERY:
-                told = elapsed
+            if ended or elapsed - reported > TELL_EVERY:
+                reported = elapsed
                 yield self.progress()
 
     def _agreed(self, elapsed: float) -> float:
@@ -128,7 +128,7 @@ class Trainer:
         self.state = self.state.decided(decision)
         self.prepared.rays.withheld = np.zeros_like(self.prepared.validation_views)
 
-    def errors(self, rays: Rays) -> NDArray[Any]:
+    def errors(self, rays: ValidationRays) -> NDArray[Any]:
         """Squared colour errors [R] of validation rays."""
         return rays.errors(self.prepared.sampler.colours(self.state.best(self.devices), rays, self.fraction()))
 

@@ -24,7 +24,7 @@ from ..nerf.volume_rendering import mean_distance
 from .config import TrainSettings
 from .decisions import Decision
 from .ray_dataset import RayDataset
-from .validation import Rays
+from .validation import ValidationRays
 
 AT = 0.3  # of the training: what view dependence there is shows by then
 LEAST = 100  # steps before that; after fewer nothing can be told
@@ -63,12 +63,12 @@ def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any
     """
     if step < LEAST:
         return Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it.")
-    tested = Rays(rays, validation_views if validation_views.any() else None, RAYS, settings)
+    tested = ValidationRays(rays, validation_views if validation_views.any() else None, RAYS, settings)
     cameras = [camera for camera, left_out in zip(field.cameras, validation_views, strict=True) if not left_out]
     return judged(*errors(field, tested, cameras), int(validation_views.sum()))
 
 
-def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
+def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Squared errors [R] of a deferred field's rays with view dependence averaged over where the cameras are, and as it is."""
     gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
     along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)

@@ -34,7 +34,7 @@ from snerg.core.training.losses import mse_to_psnr
 from snerg.core.training.non_finite import cause
 from snerg.core.training.sampler import Batch
 from snerg.core.training.trainer import Trainer, train
-from snerg.core.training.validation import Rays
+from snerg.core.training.validation import ValidationRays
 from snerg.core.training.weight_average import EVERY
 
 FAMILY = HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
@@ -357,7 +357,7 @@ def test_the_view_network_sees_so_many_frequencies_of_the_direction(views, degre
 def test_view_dependence_is_held_against_its_own_average(views):
     """With a network that adds nothing both are the same; with one that follows the direction they are not."""
     trainer = Trainer(views, SETTINGS)
-    rays = Rays(trainer.prepared.rays, trainer.prepared.validation_views, 512, SETTINGS)
+    rays = ValidationRays(trainer.prepared.rays, trainer.prepared.validation_views, 512, SETTINGS)
     field = trainer.field()
     silent = replace(field, network=ViewNetwork(*map(np.asarray, view_dependence_test.silenced(trainer.state.params)["view"])))
     averaged, own = view_dependence_test.errors(silent, rays, views.cameras)
