@@ -12,6 +12,7 @@ def classes() -> tuple[type[Any], ...]:
         add_scene,
         bake,
         cancel,
+        composite,
         estimate,
         export_scene,
         export_web,
@@ -28,7 +29,7 @@ def classes() -> tuple[type[Any], ...]:
     )
 
     modules = (
-        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
+        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study, composite),
         *(export_scene, export_web, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -29,6 +29,8 @@ class SNERG_PT_object(bpy.types.Panel):
         layout, thing = self.layout, context.object
         layout.use_property_split = True
         layout.prop(thing.snerg, "folder")
+        if context.scene.render.engine != "SNERG":
+            layout.operator("snerg.composite")
         entry = loaded(folder_of(thing))
         if problem := problem_of(thing) or entry.problem:
             draw_sentence(layout, problem, "ERROR", 56)
