@@ -15,11 +15,13 @@ def classes() -> tuple[type[Any], ...]:
         composite,
         estimate,
         export_scene,
+        export_vdb,
         export_web,
         import_dataset,
         import_field,
         import_scene,
         open_folder,
+        pack_scene,
         preview,
         quit,
         render_dataset,
@@ -30,6 +32,6 @@ def classes() -> tuple[type[Any], ...]:
 
     modules = (
         *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study, composite),
-        *(export_scene, export_web, versions, cancel, quit, open_folder),
+        *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -17,7 +17,7 @@ from ..core.progress import Progress
 from ..core.rendering.render import render_scene
 from ..core.scene.scene import Scene
 from .bridge import camera_from_blender, resolution
-from .scene_object import folder_of, placed_camera
+from .scene_object import placed_camera, source_of
 from .viewport.loading import cached
 
 BAND = 64  # rows of pixels that are rendered, and shown, together
@@ -80,7 +80,11 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
     def _rendered_as(self, scene: bpy.types.Scene) -> bpy.types.Scene:
         """The scene whose camera and size apply: the one this is composited with, unless the size that is rendered is not its size."""
         first = scene.snerg.follows
-        return first if first is not None and resolution(first) == (self.resolution_x, self.resolution_y) else scene
+        if first is None or resolution(first) != (self.resolution_x, self.resolution_y):
+            return scene
+        if missing := sorted({thing.name for thing in shown_in(first)} - {thing.name for thing in scene.objects}):
+            self.report({"WARNING"}, f"Not composited, because added later: {', '.join(missing)}; use Composite with This Render again.")
+        return first
 
     def _tell(self, top: int, height: int) -> Progress:
         def tell(fraction: float, text: str, /) -> None:
@@ -105,6 +109,11 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Nothing; see `view_update`."""
+
+
+def shown_in(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
+    """The SNeRG objects of a scene that render."""
+    return (thing for thing in scene.objects if thing.type == "EMPTY" and thing.snerg.folder and not thing.hide_render)
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +160,7 @@ def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
         if thing.type != "EMPTY" or not thing.snerg.folder or not instance.show_self:
             continue
         matrix = np.array(instance.matrix_world, np.float64)
-        scene = cached(folder_of(thing.original))
+        scene = cached(source_of(thing.original))
         moved, scale = placed_camera(thing.name, scene, matrix, camera)
         yield Placed(scene, moved, scale, thing.pass_index)
 

@@ -9,7 +9,7 @@ STEPS = (
     ("snerg.train", "snerg.import_field"),
     ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene"),
     ("snerg.preview", "snerg.composite", "snerg.study"),
-    ("snerg.export_web", "snerg.export_scene"),
+    ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb"),
 )
 
 

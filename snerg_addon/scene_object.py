@@ -12,6 +12,7 @@ from mathutils import Matrix
 from ..core.errors import SnergError
 from ..core.geometry.camera import Camera
 from ..core.scene.scene import Scene
+from . import packing
 from .project import Project
 from .properties import RELATIVE_PATHS
 from .viewport.loading import cached
@@ -102,6 +103,11 @@ def rigid_similarity(matrix: np.ndarray) -> np.ndarray:
     found = matrix.copy()
     found[:3, :3] = (u @ v) * sizes.mean()
     return found
+
+
+def source_of(thing: bpy.types.Object) -> Path:
+    """Where an object's scene is read from (see packing.source_of). Raises SnergError where a packed one is damaged."""
+    return packing.source_of(thing, folder_of(thing))
 
 
 def problem_of(thing: bpy.types.Object) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene_object import folder_of, problem_of
+from .. import packing
+from ..scene_object import problem_of, source_of
 from ..viewport import draw
 from ..viewport.loading import loaded
 from .layout import draw_box, draw_sentence
@@ -29,14 +30,19 @@ class SNERG_PT_object(bpy.types.Panel):
         layout, thing = self.layout, context.object
         layout.use_property_split = True
         layout.prop(thing.snerg, "folder")
+        if packing.is_packed(thing):
+            layout.operator("snerg.unpack_scene", icon="PACKAGE")
+        else:
+            layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
+        entry = loaded(source_of(thing))
         if context.scene.render.engine != "SNERG":
-            layout.operator("snerg.composite")
-        entry = loaded(folder_of(thing))
+            layout.operator("snerg.composite", icon="NODE_COMPOSITING")
         if problem := problem_of(thing) or entry.problem:
             draw_sentence(layout, problem, "ERROR", 56)
         elif entry.scene is None:
             layout.label(text="Reading the scene", icon="TIME")
         else:
+            layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             draw_box(

@@ -11,7 +11,7 @@ import bpy
 import gpu
 import numpy as np
 
-from ..scene_object import box_corners, folder_of, problem_of, snerg_objects
+from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
 from .gpu_scene import GpuScene, Target, march, quad
 from .loading import loaded, reading
@@ -88,7 +88,7 @@ def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> None:
     """One object: its picture, and its box where it is selected."""
     if thing.select_get():
         outline(thing)
-    found = loaded(folder_of(thing))
+    found = loaded(source_of(thing))
     matrix = np.array(thing.matrix_world, np.float64)
     if found.scene is None or problem_of(thing) or even_scale(matrix) is None or found.scene.ndc is not None:
         return

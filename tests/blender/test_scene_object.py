@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +13,10 @@ from mathutils import Matrix
 
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
+from snerg.snerg_addon.packing import is_packed
 from snerg.snerg_addon.project import project_of
-from snerg.snerg_addon.scene_object import folder_of, problem_of, show_scene, snerg_objects
-from snerg.snerg_addon.viewport.loading import loaded
+from snerg.snerg_addon.scene_object import folder_of, problem_of, show_scene, snerg_objects, source_of
+from snerg.snerg_addon.viewport.loading import cached, loaded
 
 CENTRE = (0.4, -0.2, 0.3)
 
@@ -106,3 +108,16 @@ def test_a_scene_written_again_is_read_again(scene, source):
     entry = loaded(source)
     entry.thread.join()
     assert entry.scene is not before and entry.scene.near == 0.5
+
+
+def test_a_packed_scene_outlives_its_folder(scene, source, tmp_path):
+    bpy.ops.snerg.add_scene(directory=str(source))
+    assert bpy.ops.snerg.pack_scene() == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "packed.blend"))
+    shutil.rmtree(source)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "packed.blend"))
+    (thing,) = objects()
+    np.testing.assert_array_equal(cached(source_of(thing)).cells, baked().cells)
+    bpy.context.view_layer.objects.active = thing
+    assert bpy.ops.snerg.unpack_scene() == {"FINISHED"} and source.is_dir() and not is_packed(thing)
+    np.testing.assert_array_equal(cached(source_of(thing)).cells, baked().cells)
