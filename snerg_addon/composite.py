@@ -96,6 +96,7 @@ def second_scene(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.type
             ours.link(new)
     second.render.engine, second.render.film_transparent, second.render.use_compositing = "SNERG", True, False
     second.view_layers[0].use_pass_z = True
+    second.view_layers[0].update()  # else a new one has no layer collections yet
     copy_excluded(layer.layer_collection, second.view_layers[0].layer_collection)
     copy_settings(scene, second)
     return second

@@ -216,8 +216,9 @@ def test_twice_makes_nothing_twice_and_undo_takes_it_back(stage):
     assert state() == before
 
 
-def test_again_follows_what_the_artist_changed(stage, tmp_path):
+def test_again_follows_what_the_artist_changed(stage, tmp_path, capfd):
     scene, thing, cube = stage
+    scene.collection.children.link(bpy.data.collections.new("Empty"))
     bpy.ops.snerg.composite()
     second = next(other for other in bpy.data.scenes if other.snerg.follows == scene)
     group = bpy.data.collections.new("Group")
@@ -231,6 +232,9 @@ def test_again_follows_what_the_artist_changed(stage, tmp_path):
     scene.view_layers[0].layer_collection.children["Group"].exclude = True
     bpy.ops.snerg.composite()
     assert rendered(scene, tmp_path)[..., RED].max() == 0
+    make(block(), tmp_path / "block", scene.collection, "Late")
+    rendered(scene, tmp_path)
+    assert "Not composited, because added later: Late;" in "".join(capfd.readouterr())
 
 
 def test_the_second_render_follows_the_first_ones_camera_size_and_border(stage, tmp_path):
