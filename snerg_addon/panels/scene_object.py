@@ -43,6 +43,7 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.label(text="Reading the scene", icon="TIME")
         else:
             layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
+            layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             draw_box(

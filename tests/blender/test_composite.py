@@ -1,4 +1,4 @@
-"""Composite with this render: meshes and baked objects in one frame, by depth, with soft edges and no fringe."""
+"""Composite with this render: meshes and baked objects in one frame, by depth, with soft edges and no fringe; proxies for shadows."""
 
 from __future__ import annotations
 
@@ -279,3 +279,61 @@ def test_a_compositor_that_reads_no_render_is_left_alone(stage):
     with pytest.raises(RuntimeError, match="no render layers of"):
         bpy.ops.snerg.composite()
     assert state() == before
+
+
+@pytest.fixture
+def lit(stage):
+    """The stage without a world, under a sun that shines straight down, seen from above, with the block active."""
+    scene, thing, cube = stage
+    world, scene.world = scene.world, None
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    scene.collection.objects.link(sun)
+    bpy.context.view_layer.objects.active = thing
+    scene.camera.matrix_world = Matrix.LocRotScale((1.5, -2.1, 2.0), Euler((0.92, 0, 0.63)), (1, 1, 1))
+    yield scene, thing, cube
+    bpy.context.scene.world = world
+
+
+def test_a_mesh_casts_its_shadow_on_the_baked_block_and_hides_inside_it(lit, tmp_path):
+    scene, _, cube = lit
+    assert bpy.ops.snerg.proxy(kind="SHADOW_CATCHER") == bpy.ops.snerg.composite() == {"FINISHED"}
+    cube.matrix_world = Matrix.Translation((0, 0, 1.0)) @ Matrix.Scale(0.7, 4)
+    above = rendered(scene, tmp_path)
+    cube.matrix_world = Matrix.Identity(4)
+    inside = rendered(scene, tmp_path)
+    assert inside[..., GREEN].max() < 1e-3 and inside[..., RED].max() == pytest.approx(1, abs=1e-3)
+    whole = inside[..., RED] > 0.999
+    dark = whole & (above[..., RED] < 0.1) & (above[..., GREEN] == 0)
+    assert dark.sum() > 30 and (above[..., RED][whole] > 0.98).sum() > 0.85 * whole.sum()
+
+
+def test_a_holdout_cuts_the_block_out_of_what_is_behind(lit, tmp_path):
+    scene, _, cube = lit
+    scene.render.film_transparent = True
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 4))
+    cube.matrix_world = Matrix.Translation((0, 0, -1)) @ Matrix.Scale(4, 4)
+    assert rendered(scene, tmp_path)[24, 32, 3] == 1
+    bpy.ops.snerg.proxy(kind="HOLDOUT")
+    alpha = rendered(scene, tmp_path)[..., 3]
+    assert alpha[24, 32] == 0 and alpha[24].max() == 1
+
+
+def test_it_follows_the_object_and_there_is_one(lit):
+    _, thing, _ = lit
+    bpy.ops.snerg.proxy()
+    (proxy,) = thing.children
+    thing.matrix_world = Matrix.Translation((1, 2, 3)) @ Matrix.Scale(2, 4)
+    bpy.context.view_layer.update()
+    corners = np.array([list(proxy.matrix_world @ vertex.co) for vertex in proxy.data.vertices])
+    side = 26 / 30 * 2
+    assert np.allclose(corners.min(axis=0), np.array((1, 2, 3)) - side / 2, atol=0.02)
+    assert np.allclose(np.ptp(corners, axis=0), side, atol=0.04)
+    assert not proxy.data.validate() and proxy.is_shadow_catcher and not proxy.is_holdout
+    bpy.ops.snerg.proxy(kind="HOLDOUT", threshold=0.2)
+    assert thing.children == (proxy,) and proxy.is_holdout and not proxy.is_shadow_catcher
+
+
+def test_it_wants_an_object_that_shows_a_scene(lit):
+    cube = bpy.context.temp_override(object=bpy.data.objects["Cube"])
+    with pytest.raises(RuntimeError, match="Select an object that shows a baked scene"), cube:
+        bpy.ops.snerg.proxy()
