@@ -12,6 +12,7 @@ def classes() -> tuple[type[Any], ...]:
         add_scene,
         bake,
         cancel,
+        composite,
         estimate,
         export_scene,
         export_vdb,
@@ -22,6 +23,7 @@ def classes() -> tuple[type[Any], ...]:
         open_folder,
         pack_scene,
         preview,
+        proxy,
         quit,
         render_dataset,
         study,
@@ -31,6 +33,7 @@ def classes() -> tuple[type[Any], ...]:
 
     modules = (
         *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
+        *(composite, proxy),
         *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -16,7 +16,7 @@ from ..core.nerf.frame import Frame
 from ..core.progress import Progress
 from ..core.rendering.render import render_scene
 from ..core.scene.scene import Scene
-from .bridge import camera_from_blender
+from .bridge import camera_from_blender, resolution
 from .scene_object import placed_camera, source_of
 from .viewport.loading import cached
 
@@ -62,12 +62,12 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
             self.report({"ERROR"}, f"The render went wrong ({type(error).__name__}: {error}); Blender's console says where.")
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        scene = depsgraph.scene_eval
+        scene = self._rendered_as(depsgraph.scene_eval)
         if scene.camera is None:
             raise SnergError(f"The scene {scene.name!r} has no camera; add one, or choose one in the scene's properties.")
         camera = bordered(camera_from_blender(scene.camera, scene, depsgraph), scene.render)
         things = list(placed(depsgraph, camera))
-        background = None if scene.render.film_transparent else world_colour(scene)
+        background = None if depsgraph.scene_eval.render.film_transparent else world_colour(scene)
         for top in range(0, camera.height, BAND):
             band = rows_of(camera, top, min(BAND, camera.height - top))
             frames = [
@@ -76,6 +76,15 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
             ]
             self._write(depsgraph.view_layer_eval.name, camera.height - top - band.height, merged(frames, things, band), background)
             self.update_progress((top + band.height) / camera.height)
+
+    def _rendered_as(self, scene: bpy.types.Scene) -> bpy.types.Scene:
+        """The scene whose camera and size apply: the one this is composited with, unless the size that is rendered is not its size."""
+        first = scene.snerg.follows
+        if first is None or resolution(first) != (self.resolution_x, self.resolution_y):
+            return scene
+        if missing := sorted({thing.name for thing in shown_in(first)} - {thing.name for thing in scene.objects}):
+            self.report({"WARNING"}, f"Not composited, because added later: {', '.join(missing)}; use Composite with This Render again.")
+        return first
 
     def _tell(self, top: int, height: int) -> Progress:
         def tell(fraction: float, text: str, /) -> None:
@@ -100,6 +109,11 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Nothing; see `view_update`."""
+
+
+def shown_in(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
+    """The SNeRG objects of a scene that render."""
+    return (thing for thing in scene.objects if thing.type == "EMPTY" and thing.snerg.folder and not thing.hide_render)
 
 
 @dataclass(frozen=True, eq=False)

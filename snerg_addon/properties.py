@@ -33,6 +33,12 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         options=RELATIVE_PATHS,
         default="",
     )
+    follows: PointerProperty(
+        name="Composited With",
+        description="The scene whose camera and picture size this one renders with, as the compositor asks it to",
+        type=bpy.types.Scene,
+        options={"HIDDEN"},
+    )
     project_id: StringProperty(name="Project", description="Identifies this scene's project", options={"HIDDEN"}, default="")
     dataset: StringProperty(
         name="Dataset",

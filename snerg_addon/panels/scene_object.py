@@ -35,12 +35,15 @@ class SNERG_PT_object(bpy.types.Panel):
         else:
             layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
         entry = loaded(source_of(thing))
+        if context.scene.render.engine != "SNERG":
+            layout.operator("snerg.composite", icon="NODE_COMPOSITING")
         if problem := problem_of(thing) or entry.problem:
             draw_sentence(layout, problem, "ERROR")
         elif entry.scene is None:
             layout.label(text="Reading the scene", icon="TIME")
         else:
             layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
+            layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             if not draw.fits(entry.scene):

@@ -1,0 +1,149 @@
+"""The node group that lays two premultiplied renders over each other, at each pixel the nearer one in front.
+
+Where an edge covers a part of a pixel, alpha over mixes; where two surfaces cross, the mixing follows how much of the pixel each one
+is nearer in. So the colours of one render never mix with a background of the other: edges are soft and have no fringe.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+GROUP = "SNeRG Depth Merge"
+VERSION = 1  # of the group's nodes; a group of another version is built again
+FAR = 1e9  # depths beyond are no surface: Blender's depth pass has 1e10 there
+FILL = 3  # pixels round a surface that take its depth: the widest pixel filter of the engines reaches 1.5
+TINY = 1e-9  # bounds a division by the difference of two equal depths
+INPUTS = (("Image", "Color"), ("Alpha", "Float"), ("Depth", "Float"))
+BAKED = tuple((f"Baked {name}", kind) for name, kind in INPUTS)
+
+
+def group() -> bpy.types.NodeTree:
+    """The node group, built where the file has none."""
+    found = bpy.data.node_groups.get(GROUP)
+    if found is None or found.library is not None:
+        found = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
+        add_sockets(found)
+    if found.get("snerg_version") != VERSION:
+        found.nodes.clear()
+        build(Nodes(found))
+        found["snerg_version"] = VERSION
+    return found
+
+
+def add_sockets(tree: bpy.types.NodeTree) -> None:
+    """The group's inputs and outputs. Environment is added behind both renders; Opaque is 1 where that makes the picture opaque."""
+    for name, kind in (*INPUTS, ("Environment", "Color"), ("Opaque", "Float"), *BAKED):
+        socket = tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+        socket.default_value = (0.0, 0.0, 0.0, 0.0) if kind == "Color" else 0.0
+    for name, kind in INPUTS:
+        tree.interface.new_socket(name, in_out="OUTPUT", socket_type=f"NodeSocket{kind}")
+
+
+def build(nodes: Nodes) -> None:
+    """What the group computes, with m and b for the meshes' and the baked objects' render (premultiplied), a for alpha, d for depth:
+
+    nearer = how much of a pixel d_m < d_b holds in; image = nearer (m over b) + (1 - nearer) (b over m) + (1 - a_b) environment.
+    The environment pass holds what of the world the meshes leave visible, hence no factor 1 - a_m.
+    """
+    get = nodes.add("NodeGroupInput").outputs
+    m, b = get["Image"], get["Baked Image"]
+    nearer = nodes.share_nearer(nodes.filled(get["Depth"]), nodes.filled(get["Baked Depth"]))
+    merged = nodes.mix(nearer, nodes.over(b, m), nodes.over(m, b))
+    seen = nodes.mix(1.0, get["Environment"], nodes.math("SUBTRACT", 1.0, get["Baked Alpha"]), "MULTIPLY")
+    left = nodes.math("MULTIPLY", nodes.math("SUBTRACT", 1.0, get["Alpha"]), nodes.math("SUBTRACT", 1.0, get["Baked Alpha"]))
+    alpha = nodes.math("MAXIMUM", nodes.math("SUBTRACT", 1.0, left), get["Opaque"])
+    put = nodes.add("NodeGroupOutput").inputs
+    nodes.link(nodes.with_alpha(nodes.mix(1.0, merged, seen, "ADD"), alpha), put["Image"])
+    nodes.link(alpha, put["Alpha"])
+    nodes.link(nodes.math("MINIMUM", get["Depth"], get["Baked Depth"]), put["Depth"])
+
+
+class Nodes:
+    """Builds nodes in a compositor tree, whatever Blender calls them. Values are sockets or numbers."""
+
+    def __init__(self, tree: bpy.types.NodeTree) -> None:
+        self.tree = tree
+
+    def add(self, *names: str) -> Any:
+        """A node of the first of the types that this Blender has."""
+        known = [name for name in names if hasattr(bpy.types, name)]
+        shader = [name for name in known if not name.startswith("ShaderNode") or bpy.app.version >= (5, 0)]
+        return self.tree.nodes.new(shader[0])
+
+    def link(self, value: Any, socket: bpy.types.NodeSocket) -> None:
+        """Give an input its value."""
+        if isinstance(value, float | int):
+            socket.default_value = value
+        else:
+            self.tree.links.new(value, socket)
+
+    def math(self, operation: str, first: Any, second: Any, clamp: bool = False) -> bpy.types.NodeSocket:
+        """An operation of two values."""
+        node = self.add("ShaderNodeMath", "CompositorNodeMath")
+        node.operation, node.use_clamp = operation, clamp
+        self.link(first, node.inputs[0])
+        self.link(second, node.inputs[1])
+        return node.outputs[0]
+
+    def mix(self, factor: Any, first: Any, second: Any, blend: str = "MIX") -> bpy.types.NodeSocket:
+        """Two colours blended; alpha is the first's."""
+        node = self.add("ShaderNodeMix", "CompositorNodeMixRGB")
+        node.blend_type = blend
+        sockets, output = node.inputs[:3], node.outputs[0]
+        if node.bl_idname == "ShaderNodeMix":
+            node.data_type, node.clamp_factor, node.clamp_result = "RGBA", False, False
+            named = {socket.identifier: socket for socket in (*node.inputs, *node.outputs)}
+            sockets, output = [named[name] for name in ("Factor_Float", "A_Color", "B_Color")], named["Result_Color"]
+        for value, socket in zip((factor, first, second), sockets, strict=True):
+            self.link(value, socket)
+        return output
+
+    def over(self, front: Any, back: Any) -> bpy.types.NodeSocket:
+        """A premultiplied colour over another."""
+        node = self.add("CompositorNodeAlphaOver")
+        named = "Foreground" in node.inputs
+        self.link(front, node.inputs["Foreground"] if named else node.inputs[2])
+        self.link(back, node.inputs["Background"] if named else node.inputs[1])
+        return node.outputs[0]
+
+    def with_alpha(self, colour: Any, alpha: Any) -> bpy.types.NodeSocket:
+        """A colour with another alpha, its other channels unchanged."""
+        node = self.add("CompositorNodeSetAlpha")
+        if "Type" in node.inputs:
+            node.inputs["Type"].default_value = "Replace Alpha"
+        else:
+            node.mode = "REPLACE_ALPHA"
+        self.link(colour, node.inputs["Image"])
+        self.link(alpha, node.inputs["Alpha"])
+        return node.outputs[0]
+
+    def spread(self, value: Any, size: int) -> bpy.types.NodeSocket:
+        """The largest value within `size` pixels; the smallest, where `size` is negative."""
+        node = self.add("CompositorNodeDilateErode")
+        if "Size" in node.inputs:
+            node.inputs["Size"].default_value = size
+        else:
+            node.distance = size
+        if "Type" not in node.inputs:
+            node.mode = "STEP"
+        self.link(value, node.inputs[0])
+        return node.outputs[0]
+
+    def filled(self, depth: Any) -> bpy.types.NodeSocket:
+        """A depth pass whose surfaces reach FILL pixels beyond their edges: a pixel whose centre misses an edge still has its depth."""
+        nearest = self.spread(depth, -FILL)
+        surface = self.math("LESS_THAN", depth, FAR)
+        return self.math("ADD", nearest, self.math("MULTIPLY", surface, self.math("SUBTRACT", depth, nearest)))
+
+    def share_nearer(self, first: Any, second: Any) -> bpy.types.NodeSocket:
+        """The share of each pixel in which the first depth is the smaller one, 0 to 1.
+
+        The difference of the depths is taken as linear over a pixel. Its largest less its smallest value of the 3 x 3 pixels round it
+        is twice its change across one pixel, |d/dx| + |d/dy|, so the share rises from 0 to 1 where the difference is within half of that.
+        """
+        difference = self.math("SUBTRACT", second, first)
+        change = self.math("SUBTRACT", self.spread(difference, 1), self.spread(difference, -1))
+        slope = self.math("DIVIDE", self.math("MULTIPLY", difference, 2.0), self.math("MAXIMUM", change, TINY))
+        return self.math("ADD", slope, 0.5, clamp=True)
