@@ -42,11 +42,11 @@ class Domain:
 
     def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
-        return ((points - self.centre) * self.scale).astype(np.float32)
+        return np.asarray(((points - self.centre) * self.scale).astype(np.float32))
 
     def to_world(self, x: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] float64."""
-        return np.asarray(x, np.float64) / self.scale + self.centre
+        return np.asarray(np.asarray(x, np.float64) / self.scale + self.centre)
 
     def world_box(self) -> Box:
         """The occupied part as a box in world axes."""
@@ -74,7 +74,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         alive = alive[~gone]
     result = np.zeros(len(points), bool)
     result[alive] = True
-    return result & seen
+    return np.asarray(result & seen)
 
 
 def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
@@ -135,7 +135,7 @@ def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera],
 def cell_centres(cells: int) -> NDArray[Any]:
     """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
     axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))
 
 
 def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -301,4 +301,4 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
     """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
-    return (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]
+    return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])

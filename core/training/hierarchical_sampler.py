@@ -131,7 +131,8 @@ def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict
     # Without jax.checkpoint the scan would keep what all of its rays computed.
     some = jax.checkpoint(lambda params, part: loss(params, {**part, **whole}))
     totals = jax.lax.map(lambda part: some(params, part), stacked)
-    return jax.tree.map(lambda a: a.sum(axis=0), totals)
+    summed: tuple[Any, dict[str, Any]] = jax.tree.map(lambda a: a.sum(axis=0), totals)
+    return summed
 
 
 def _part_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

@@ -80,7 +80,7 @@ class Devices:
 
     def _put(self, spec: PartitionSpec, array: Any) -> Any:
         array = np.asarray(array)
-        return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])  # type: ignore[arg-type]
+        return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])
 
 
 def longest_ray(settings: TrainSettings) -> int:

@@ -42,7 +42,7 @@ def spread(seed: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
         before = now
         reached = _fill_runs(reached, allowed)
         reached = _fill_runs(reached.T, allowed.T).T
-    return reached
+    return np.asarray(reached)
 
 
 def _fill_runs(reached: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
@@ -51,4 +51,4 @@ def _fill_runs(reached: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
     run = np.cumsum(begins.reshape(-1)) - 1
     hit = np.zeros(int(run[-1]) + 1, bool)
     hit[run[reached.reshape(-1)]] = True
-    return hit[run].reshape(allowed.shape) & allowed
+    return np.asarray(hit[run].reshape(allowed.shape) & allowed)

@@ -41,7 +41,7 @@ class TerminationDepths:
         """The tiles [N] of pixels by number [N]."""
         view = np.searchsorted(self.ends, index, side="right")
         row, column = np.divmod(index - self.starts[view], self.widths[view])
-        return self.first[view] + row // self.side * self.across[view] + column // self.side
+        return np.asarray(self.first[view] + row // self.side * self.across[view] + column // self.side)
 
     def learn(self, tile: NDArray[Any], end: NDArray[Any]) -> None:
         """Record that rays of tiles [N] terminated at distances [N], infinite where they did not. Of several rays of one tile the

@@ -42,7 +42,7 @@ class ValidationRays:
 
     def errors(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
-        return ((colour - self.wanted) ** 2).mean(axis=-1)
+        return np.asarray(((colour - self.wanted) ** 2).mean(axis=-1))
 
 
 def packed_colours(
@@ -59,7 +59,7 @@ def packed_colours(
     looking = rays.looking.astype(np.float32)
     values = sample_values(np, settings.view_dependence, settings.family, host, values, looking[got.ray])
     gathered, through, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(looking))
-    return ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background)
+    return np.asarray(ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background))
 
 
 def _host(tree: Any) -> Any:

@@ -77,7 +77,7 @@ def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tup
 
     def shown(looking: NDArray[Any]) -> NDArray[Any]:
         params = {"view": field.network}
-        return ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background)
+        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background))
 
     own = shown(rays.looking)
     total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
