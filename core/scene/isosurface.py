@@ -42,7 +42,7 @@ def isosurface(scene: Scene, threshold: float = 0.5) -> tuple[NDArray[Any], NDAr
 
 def flat(places: NDArray[Any], dims: tuple[int, ...]) -> NDArray[Any]:
     """Integers [...] in place of voxels [..., 3], which may lie outside the grid by less than a cell."""
-    return np.ravel_multi_index(tuple(np.moveaxis(places + CELL_VOXELS, -1, 0)), dims)
+    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(places + CELL_VOXELS, -1, 0)), dims))
 
 
 def block_surface(alpha: NDArray[Any], corner: NDArray[Any], threshold: float) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:

@@ -13,6 +13,7 @@ from stage import add_camera
 from scenes import snerg_from_volume
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.camera import Camera
+from snerg.core.io.images import read_image
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.scene import Scene
 from snerg.snerg_addon.bridge import camera_from_blender
@@ -251,6 +252,36 @@ def test_the_second_render_follows_the_first_ones_camera_size_and_border(stage, 
     part = rendered(scene, tmp_path)
     render.use_border = render.use_crop_to_border = False
     assert np.abs(part[..., RED] - whole[:24, 24:72, RED]).mean() < 0.003  # Cycles' noise is another with a border
+
+
+def test_an_animation_moves_in_both_renders(stage, tmp_path):
+    scene, thing, cube = stage
+    bpy.ops.snerg.composite()
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 6))
+    cube.matrix_world = Matrix.Translation((0, 0, 1))
+    for which, object_ in enumerate((thing, cube)):
+        for frame, x in ((1, -0.8), (2, 0.8)):
+            object_.location.x = x if which else -x
+            object_.keyframe_insert("location", frame=frame)
+    scene.frame_start, scene.frame_end, scene.render.filepath = 1, 2, str(tmp_path / "frame_")
+    bpy.ops.render.render(animation=True)
+    left = [(read_image(tmp_path / f"frame_{n:04d}.png")[:, :32, :3] > 128).sum(axis=(0, 1)) for n in (1, 2)]
+    assert left[0][GREEN] > 10 > left[0][RED] and left[1][RED] > 10 > left[1][GREEN]
+
+
+@pytest.mark.slow
+def test_eevee_gives_the_same_edges(stage, tmp_path):
+    scene, _, cube = stage
+    scene.render.engine = "BLENDER_EEVEE_NEXT" if bpy.app.version < (5, 0) else "BLENDER_EEVEE"
+    bpy.ops.snerg.composite()
+    try:
+        got = rendered(scene, tmp_path)
+    except RuntimeError as error:
+        pytest.skip(f"EEVEE does not render here: {error}")
+    green, red = covered(camera_from_blender(scene.camera, scene, evaluated(scene)), cube)
+    error = np.abs(got[..., :3] - np.stack([red, green, 1 - red - green], axis=-1)).max(axis=-1)
+    assert error.max() < 0.3 and error.mean() < 0.015
+    assert np.abs(got[..., :3].sum(axis=-1) - 1).max() < 0.02 and (got[..., 3] == 1).all()
 
 
 def test_nothing_of_the_artists_nodes_is_lost(stage, tmp_path):
