@@ -97,7 +97,7 @@ class Dataset:
         width, height, factor = view.camera.width, view.camera.height, view.factor
         use = read_mask(view.mask, *read_size(view.image), view.mask_hides)[: height * factor, : width * factor]
         use = use.reshape(height, factor, width, factor).all(axis=(1, 3))
-        return use if seen is None else use & seen
+        return np.asarray(use if seen is None else use & seen)
 
     def splits(self) -> tuple[str, ...]:
         """The names of the splits there are, 'train' first."""

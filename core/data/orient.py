@@ -64,16 +64,16 @@ def upward(cameras: Sequence[Camera]) -> NDArray[Any]:
         positions = np.stack([c.position for c in cameras])
         flat = np.linalg.eigh(np.cov(positions.T))[1][:, 0]
         side = flat @ back.mean(axis=0) or flat @ mean
-        return flat if side >= 0 else -flat
+        return np.asarray(flat if side >= 0 else -flat)
     mean /= np.linalg.norm(mean)
     weights, up = np.ones(len(right)), mean
     for _ in range(10):  # reweighted, so that a few pictures that were turned do not count
         spread, axes = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
         if spread[1] < 0.05:
-            return mean
+            return np.asarray(mean)
         up = axes[:, 0] * (1 if axes[:, 0] @ mean >= 0 else -1)
         weights = 1 / (np.abs(right @ up) + 0.05)
-    return up if up @ mean > 0.6 else mean
+    return np.asarray(up if up @ mean > 0.6 else mean)
 
 
 def upright(up: NDArray[Any], axes: NDArray[Any]) -> NDArray[Any]:
@@ -99,11 +99,11 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
     position = np.mean([c.position for c in cameras], axis=0)
     if points is not None and ((points - position) @ mean > 0).any():
         depth = (points - position) @ mean
-        return position + mean * np.median(depth[depth > 0])
+        return np.asarray(position + mean * np.median(depth[depth > 0]))
     if bounds is None:
         return focus(cameras)[0]
     near, far = np.median(bounds, axis=0)
-    return position + mean * (2 / (1 / near + 1 / far))
+    return np.asarray(position + mean * (2 / (1 / near + 1 / far)))
 
 
 def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:

@@ -84,9 +84,9 @@ class Box:
     def contains(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world points to [N] bool."""
         local = (points - self.box_to_world[:3, 3]) @ self.box_to_world[:3, :3]
-        return (np.abs(local) <= self.size / 2).all(axis=-1)
+        return np.asarray((np.abs(local) <= self.size / 2).all(axis=-1))
 
     def corners(self) -> NDArray[Any]:
         """[8, 3] world units."""
         signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1).reshape(8, 3)
-        return (signs * self.size / 2) @ self.box_to_world[:3, :3].T + self.box_to_world[:3, 3]
+        return np.asarray((signs * self.size / 2) @ self.box_to_world[:3, :3].T + self.box_to_world[:3, 3])

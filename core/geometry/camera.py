@@ -133,7 +133,7 @@ class Camera:
 
     def _normalised(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""
-        return (pixels + 0.5 - np.array(self.centre)) / np.array(self.focal)
+        return np.asarray((pixels + 0.5 - np.array(self.centre)) / np.array(self.focal))
 
     def project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
@@ -148,14 +148,14 @@ class Camera:
     def shows(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N] bool: which world points [N, 3] are in the picture, whatever is in front of them."""
         pixels, depth = self.project(points)
-        return (depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1)
+        return np.asarray((depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1))
 
     def toward(self, points: NDArray[Any]) -> NDArray[Any]:
         """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
         if self.projection == "orthographic":
             return np.broadcast_to(-self.camera_to_world[:3, 2], points.shape).copy()
         way = points - self.position
-        return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+        return np.asarray(way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12))
 
     def to_json(self) -> dict[str, Any]:
         """All of the camera as JSON values, for `from_json`."""

@@ -61,7 +61,7 @@ class Distortion:
     def sees(self, xy: NDArray[Any]) -> NDArray[Any]:
         """Which points [N, 2] of this lens's picture the model says something about, bool [N]: not past the fold, less than
         90 degrees from the axis."""
-        return np.linalg.norm(self.undistort(xy), axis=-1) < self._alone.limit[0] * (1 - 1e-9)
+        return np.asarray(np.linalg.norm(self.undistort(xy), axis=-1) < self._alone.limit[0] * (1 - 1e-9))
 
     def to_json(self) -> dict[str, Any]:
         """{"model", "coefficients"}"""
@@ -100,7 +100,7 @@ class Lenses:
         beyond = np.maximum(radius - self.limit[lens], 0)
         safe = np.maximum(radius, 1e-300)[:, None]
         held = xy * np.where(beyond > 0, self.limit[lens] / safe[:, 0], 1)[:, None]
-        return self._bent(self._of(lens), held)[0] + xy / safe * beyond[:, None]
+        return np.asarray(self._bent(self._of(lens), held)[0] + xy / safe * beyond[:, None])
 
     def undistort(self, lens: NDArray[Any], xy: NDArray[Any]) -> NDArray[Any]:
         """As Distortion.undistort, of point i by lens `lens[i]`."""
@@ -136,7 +136,7 @@ class Lenses:
         place = np.minimum(radius / self.reach[lens], 1) * (TABLE - 1)
         before = np.minimum(place.astype(np.int64), TABLE - 2)
         low, high = self.table[lens, before], self.table[lens, before + 1]
-        return low + (high - low) * (place - before)
+        return np.asarray(low + (high - low) * (place - before))
 
     def _inverse(self, index: int) -> NDArray[Any]:
         """Ideal radius [TABLE] at even steps of the distorted radius up to `reach`, from the radial part alone."""
@@ -213,17 +213,20 @@ def _limit(lens: Distortion) -> float:
         rising = np.polynomial.Polynomial([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])  # in theta squared
         first = _first_zero(rising)
         return min(math.tan(math.sqrt(first)), widest) if first < (math.pi / 2) ** 2 else widest
+    top: Any  # NumPy gives methods of its polynomials no types
+    below: Any
     top, below = np.polynomial.Polynomial([1, k[0], k[1], k[4]]), np.polynomial.Polynomial([1, *k[5:]])
     s = np.polynomial.Polynomial([0, 1])
     first = min(_first_zero(top * below + 2 * s * (top.deriv() * below - top * below.deriv())), _first_zero(below))
     return min(math.sqrt(first), widest)
 
 
-def _first_zero(polynomial: np.polynomial.Polynomial) -> float:
-    """The smallest positive real zero, infinite where there is none."""
+def _first_zero(polynomial: Any) -> float:
+    """The smallest positive real zero of a numpy.polynomial.Polynomial, infinite where there is none."""
     coefficients = np.trim_zeros(polynomial.coef, "b")
     if len(coefficients) < 2:
         return math.inf
-    zeros = np.polynomial.Polynomial(coefficients).roots()
+    shortened: Any = np.polynomial.Polynomial(coefficients)
+    zeros = shortened.roots()
     real = zeros[np.abs(zeros.imag) < 1e-9 * np.maximum(np.abs(zeros), 1e-3)].real
     return float(real[real > 0].min(initial=math.inf))

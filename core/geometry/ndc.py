@@ -65,7 +65,7 @@ class Ndc:
         points = np.asarray(points, np.float64)
         z = self._depth(points[:, 2])
         local = np.stack([-points[:, 0] * z / self.focal[0], -points[:, 1] * z / self.focal[1], z], axis=-1)
-        return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
+        return np.asarray(local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3])
 
     def rays(
         self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
@@ -94,7 +94,7 @@ class Ndc:
         return np.where(alive, (z - self._local(origins)[:, 2]) / toward[:, 2], near)
 
     def _local(self, points: NDArray[Any]) -> NDArray[Any]:
-        return (np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3]
+        return np.asarray((np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3])
 
     def _device(self, xy: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
         """Camera axes to NDC; z < 0."""

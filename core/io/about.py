@@ -13,9 +13,9 @@ from .schema import number, record, text, whole
 MOST = 2**53  # of any count
 
 
-def check_about_field(about: Any) -> dict[str, Any]:
+def check_about_field(value: Any) -> dict[str, Any]:
     """A field's history and settings, as training keeps them."""
-    about = finite(record(about, "about"))
+    about = finite_record(value)
     for key in ("steps", "seconds", "psnr_training_rays", "psnr_held_out_rays"):
         if about.get(key) is not None:
             number(about[key], key)
@@ -25,9 +25,9 @@ def check_about_field(about: Any) -> dict[str, Any]:
     return about
 
 
-def check_about_scene(about: Any) -> dict[str, Any]:
+def check_about_scene(value: Any) -> dict[str, Any]:
     """What a scene keeps of its training, its bake and its refining."""
-    about = finite(record(about, "about"))
+    about = finite_record(value)
     trained = record(about.get("trained", {}), "trained")
     _check_trained(trained)
     check_background(trained.get("background", "white"))
@@ -41,6 +41,13 @@ def finite(value: Any) -> Any:
     """A JSON value without NaN and infinity, which no other JSON file could hold."""
     json.dumps(value, allow_nan=False)
     return value
+
+
+def finite_record(value: Any) -> dict[str, Any]:
+    """A JSON object without NaN and infinity."""
+    found = record(value, "about")
+    finite(found)
+    return found
 
 
 def check_background(value: Any) -> None:

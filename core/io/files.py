@@ -109,10 +109,11 @@ def check_own(path: Path) -> None:
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
+    format: Any = np.lib.format  # NumPy gives its writer no types
     with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as part:
-                np.lib.format.write_array(part, np.asarray(array), allow_pickle=False)
+                format.write_array(part, np.asarray(array), allow_pickle=False)
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:

@@ -86,10 +86,11 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
     if member.compress_type not in PACKED:
         raise ValueError(f"{member.filename} is packed by method {member.compress_type}")
     with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
+        header: Any = np.lib.format  # NumPy gives these readers no types
+        version = header.read_magic(file)
         if version not in ((1, 0), (2, 0)):
             raise ValueError(f"{member.filename} has version {version} of NumPy's format")
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        read_header = header.read_array_header_1_0 if version == (1, 0) else header.read_array_header_2_0
         shape, fortran, kind = read_header(file)
         count = 1
         for length in shape:

@@ -63,7 +63,7 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArr
         with reading(path, "write it again", f"The mask {path}"):
             grey = image.convert("L")
             white = grey.point([255] * 128 + [0] * 128 if hides else [0] * 128 + [255] * 128)
-            return np.asarray(white.resize((width, height), Image.Resampling.BOX)) == 255
+            return np.equal(np.asarray(white.resize((width, height), Image.Resampling.BOX)), 255)
 
 
 def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
@@ -235,7 +235,7 @@ def over(image: NDArray[Any], background: tuple[float, float, float] = (1.0, 1.0
     if image.shape[-1] == 3:
         return colour
     alpha = image[..., 3:].astype(np.float32) / 255
-    return colour * alpha + (1 - alpha) * np.array(background, np.float32)
+    return np.asarray(colour * alpha + (1 - alpha) * np.array(background, np.float32))
 
 
 def srgb_to_linear(colour: NDArray[Any]) -> NDArray[Any]:

@@ -158,7 +158,7 @@ class Bytes:
     def __init__(self, path: Path) -> None:
         self.data, self.at = path.read_bytes(), 0
 
-    def take(self, layout: str) -> tuple:
+    def take(self, layout: str) -> tuple[Any, ...]:
         """The next values, as struct.unpack has them."""
         values = struct.unpack_from("<" + layout, self.data, self.at)
         self.at += struct.calcsize("<" + layout)
@@ -171,7 +171,7 @@ class Bytes:
             raise ValueError(f"it says that {count} records follow, more than its size allows")
         return int(count)
 
-    def array(self, kind: np.dtype, count: int) -> NDArray[Any]:
+    def array(self, kind: np.dtype[Any], count: int) -> NDArray[Any]:
         """The next `count` records."""
         found = np.frombuffer(self.data, kind, count, self.at)
         self.at += count * kind.itemsize
@@ -265,7 +265,7 @@ def text_points(path: Path) -> Points:
     return _points(rows)
 
 
-def _points(rows: list[tuple]) -> Points:
+def _points(rows: list[tuple[Any, ...]]) -> Points:
     rows = sorted(row for row in rows if (np.abs(row[1:4]) <= FAR).all())
     return Points(
         np.array([row[0] for row in rows], np.int64),
