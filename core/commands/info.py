@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ..artifact import Result, kind_of, open_field
-from ..data.load import read_dataset
+from ..data.load import read_dataset, read_split
 from ..export.reference import read_params, read_reference
 from ..export.scene_files import codec_of, is_scene, read_scene
 from ..geometry.camera import Camera
@@ -45,7 +45,7 @@ def _info(path: Path) -> Result:
 
 def _dataset_info(path: Path) -> Result:
     train = read_dataset(path, "train")
-    opened = [train, *(read_dataset(path, split) for split in train.splits() if split != "train")]
+    opened = [train, *(read_split(train, split) for split in train.splits() if split != "train")]
     cameras = [camera for part in opened for camera in part.cameras]
     transparent = has_alpha(train.read(0))
     decision, _ = forward_facing("auto", train.cameras, train.points, train.bounds, transparent)
@@ -66,7 +66,7 @@ def _dataset_info(path: Path) -> Result:
         "suggested_size": [round(float(side), 4) for side in box.size],
         "forward_facing": decision.chosen,
         "evidence": decision.evidence,
-        "without_image": train.passed_over,
+        "without_image": train.skipped_frames,
     }
 
 

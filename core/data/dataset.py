@@ -23,7 +23,8 @@ class View:
     """One photograph or render, and the camera that took it.
 
     mask: a picture whose black pixels are not to be learned from; with `mask_hides`, whose white ones are not (instant-ngp's
-    dynamic masks). factor: how many of the image's pixels along a side make one of the camera's.
+    dynamic masks). factor: image pixels along a side to one pixel of the camera. image_size: (width, height) of the image in pixels,
+    None where its header has not been read.
     """
 
     camera: Camera
@@ -31,6 +32,7 @@ class View:
     mask: Path | None = None
     mask_hides: bool = False
     factor: int = 1
+    image_size: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,8 @@ class Dataset:
     box: what training must explain, as far as the source tells, None where it tells nothing. points [N, 3] float64 and colours
     [N, 3] uint8: what structure from motion found. bounds: [V, 2] nearest and farthest depth a view. All in world units, after
     `source_to_world` [4, 4], the similarity that sets photographs upright near the origin (the identity for renders).
-    kind: 'transforms', 'llff' or 'colmap'. passed_over: frames of the source that have no image.
+    kind: 'transforms', 'llff' or 'colmap'. skipped_frames: how many frames of the source have no image.
+    source: what the reader found, with all splits that it read; None for a dataset that was not read from files.
     """
 
     root: Path
@@ -72,7 +75,8 @@ class Dataset:
     options: DatasetOptions = DatasetOptions()
     kind: str = "transforms"
     split_names: tuple[str, ...] = ()
-    passed_over: int = 0
+    skipped_frames: int = 0
+    source: Source | None = None
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -95,7 +99,7 @@ class Dataset:
         if view.mask is None:
             return seen
         width, height, factor = view.camera.width, view.camera.height, view.factor
-        use = read_mask(view.mask, *read_size(view.image), view.mask_hides)[: height * factor, : width * factor]
+        use = read_mask(view.mask, *(view.image_size or read_size(view.image)), view.mask_hides)[: height * factor, : width * factor]
         use = use.reshape(height, factor, width, factor).all(axis=(1, 3))
         return np.asarray(use if seen is None else use & seen)
 
@@ -113,8 +117,9 @@ class Source:
     """What a reader found: all views, in the source's own world and at their images' sizes.
 
     splits: the numbers of the views of each split, None where the source has no splits. names: of splits that are in other files.
-    photographs: whether the world has no up and no scale of its own. half: of the cube round the source's origin that the
-    scene is said to fill. factor: how many times smaller the images are still to be made.
+    photographs: whether the world has no up and no scale of its own. half_extent: half the side of
+    the cube round the source's origin that the scene fills, None where the source gives none. factor: how many times smaller the images
+    are still to be made along each side. skipped_frames: how many frames have no image.
     """
 
     root: Path
@@ -127,9 +132,9 @@ class Source:
     points: NDArray[Any] | None = None
     colours: NDArray[Any] | None = None
     bounds: NDArray[Any] | None = None
-    half: float | None = None
+    half_extent: float | None = None
     factor: int = 1
-    passed_over: int = 0
+    skipped_frames: int = 0
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:

@@ -109,12 +109,12 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
 def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
     """The box of what must be explained, world axes.
 
-    From the cube that instant-ngp was told of, else from the points without outliers, else from the views between their nearest
-    and farthest depth; without any of these a cube that holds the cameras. Nothing beyond FARTHEST from the origin is in it,
+    From the source's half extent (instant-ngp's aabb_scale), else from the points without outliers, else from the views between their
+    nearest and farthest depth; without any of these a cube that holds the cameras. Nothing beyond FARTHEST from the origin is in it,
     but for the first.
     """
-    if source.half is not None:
-        return Box.axis_aligned(origin - source.half * scale, origin + source.half * scale)
+    if source.half_extent is not None:
+        return Box.axis_aligned(origin - source.half_extent * scale, origin + source.half_extent * scale)
     cameras = [view.camera for view in source.views]
     if source.points is not None and len(source.points) >= 10:
         low, high = np.percentile(source.points.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.dataset import HELD_OUT, Dataset
-from ..data.load import read_dataset
+from ..data.load import read_split
 from ..errors import Cancelled, SnergError
 from ..geometry.ndc import Ndc
 from ..io.files import SAVING
@@ -380,7 +380,7 @@ def held_out_of(dataset: Dataset) -> Dataset | None:
     for split in HELD_OUT:
         if split in dataset.splits() and split != dataset.split:
             try:
-                return some_views(read_dataset(dataset.root, split, dataset.options))
+                return some_views(read_split(dataset, split))
             except SnergError:
                 continue  # images that training does not need
     return None

@@ -74,9 +74,9 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         photographs=photographs,
         points=points,
         colours=colours,
-        half=read_half(file, value),
+        half_extent=read_half_extent(file, value),
         factor=options.downscale,
-        passed_over=len(views) - len(there),
+        skipped_frames=len(views) - len(there),
     )
 
 
@@ -104,15 +104,15 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     return value, frames
 
 
-def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, passes_over: bool) -> View | None:
-    """One frame's camera, image and mask; None for a frame without its image, with `passes_over`."""
+def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, skips_missing: bool) -> View | None:
+    """One frame's camera, image and mask; None for a frame without its image, with `skips_missing`."""
     where = f"{file}, frame {index}"
     name = frame.get("file_path")
     if not isinstance(name, str) or not name:
         raise SnergError(f"{where} has no file_path; every frame needs an image.")
     image = find_image(file.parent, name, where)
     if image is None:
-        if passes_over:
+        if skips_missing:
             return None
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     camera = read_camera(value, frame, read_size(image), where, name=image.stem)
@@ -216,7 +216,7 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
     return read_ply(path) if path.is_file() else (None, None)
 
 
-def read_half(file: Path, value: dict[str, Any]) -> float | None:
+def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
     """Half the side of instant-ngp's cube round the origin, in the poses' units."""
     if "aabb_scale" not in value:
         return None
