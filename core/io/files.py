@@ -108,7 +108,10 @@ def check_own(path: Path) -> None:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
+    """Write arrays of any shape as an uncompressed .npz, whole or not at all, without a copy in memory.
+
+    Raises SnergError as `new_file` does.
+    """
     format: Any = np.lib.format  # NumPy gives its writer no types
     with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
         for name, array in arrays.items():

@@ -67,10 +67,10 @@ def check_file(path: Path, most: int) -> int:
 
 
 def read_arrays(path: Path, most: int) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz of at most `most` bytes, no pickles.
+    """The arrays, of any shape, of an .npz of at most `most` bytes, by name. Pickles are refused.
 
-    What they unpack to is added up from their headers first. Raises SnergError as `check_file` does, anything that a decoder raises
-    otherwise: call it in `reading`.
+    The unpacked size is checked from the headers before anything is unpacked. Raises SnergError as `check_file` does, and whatever
+    the decoder raises: call it in `reading`.
     """
     size = check_file(path, most)
     with zipfile.ZipFile(path) as archive:

@@ -218,7 +218,7 @@ def png_bytes(pixels: NDArray[Any], compress_level: int = 6) -> bytes:
 
 
 def write_png(path: Path, pixels: NDArray[Any], compress_level: int = 6) -> None:
-    """uint8 pixels to a PNG file, whole or not at all."""
+    """Write uint8 [H, W], [H, W, 3] or [H, W, 4] as a PNG file, whole or not at all."""
     write_bytes(path, png_bytes(pixels, compress_level))
 
 

@@ -59,7 +59,7 @@ def record(value: Any, name: str) -> dict[str, Any]:
 
 
 def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) -> NDArray[Any]:
-    """Finite numbers of this shape, none beyond `most`, float64."""
+    """Finite numbers as an array of the same shape as `shape`, float64; none beyond `most` in magnitude."""
     found = np.asarray(value)
     if found.shape != shape or found.dtype.kind not in "fiu":
         raise ValueError(f"{name} is {found.dtype} {found.shape}; it must be {' x '.join(map(str, shape))} numbers")

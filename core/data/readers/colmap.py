@@ -172,7 +172,7 @@ class Bytes:
         return int(count)
 
     def array(self, kind: np.dtype[Any], count: int) -> NDArray[Any]:
-        """The next `count` records."""
+        """The next `count` records, [count] of dtype `kind`."""
         found = np.frombuffer(self.data, kind, count, self.at)
         self.at += count * kind.itemsize
         return found

@@ -26,10 +26,10 @@ LENSES = {
     **dict.fromkeys(("", "PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), "opencv"),
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
-OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # how instant-ngp tells of lenses that are not supported here
+OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
 OURS = ("snerg_box", "snerg_render")  # renders of our own: the world is Blender's
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # nerfstudio's
-NGP_SCALE = 0.33  # of instant-ngp's unit cube to the poses' units, where the file gives none
+NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
 
 
 def is_transforms(path: Path) -> bool:
@@ -208,7 +208,10 @@ def _plain(name: str) -> str:
 
 
 def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None, NDArray[Any] | None]:
-    """The points of ply_file_path, in the poses' world, if the file is there. applied_transform is in the poses and points already."""
+    """The points [N, 3] float64 of ply_file_path and their colours [N, 3] uint8, in the poses' world; None where there is no such file.
+
+    nerfstudio has applied its applied_transform to both the poses and the points.
+    """
     name = value.get("ply_file_path")
     if not isinstance(name, str):
         return None, None
@@ -217,7 +220,7 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
 
 
 def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the side of instant-ngp's cube round the origin, in the poses' units."""
+    """Half the side of instant-ngp's cube around the origin, in the poses' units; None without aabb_scale."""
     if "aabb_scale" not in value:
         return None
     try:
