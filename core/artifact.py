@@ -12,7 +12,8 @@ from .data.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
 from .export.scene_files import is_scene, read_scene
-from .io.files import MARK, one_generation
+from .io.files import MARK
+from .io.generation import one_generation
 from .nerf.checkpoint import is_field, read_field
 from .nerf.field import Field
 from .nerf.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint

@@ -25,9 +25,11 @@ from ..errors import SnergError
 from ..geometry.camera import Camera, focal_from_angle, rigid
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import check_own, json_bytes, new_folder, one_generation, read_json
+from ..io.files import json_bytes, new_folder, read_json
+from ..io.generation import one_generation
 from ..io.guard import reading, why
 from ..io.images import png_bytes, read_image, read_size
+from ..io.paths import check_own
 from ..io.schema import FAR, flag, number, numbers, pose, positive, shown, whole
 from ..nerf.model import SHAPES, ViewNetwork
 from ..progress import Progress, silent

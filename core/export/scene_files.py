@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import check_own, json_bytes, new_folder, one_generation, read_json
+from ..io.files import json_bytes, new_folder, read_json
+from ..io.generation import one_generation
 from ..io.guard import check_file, reading
 from ..io.images import png_bytes
+from ..io.paths import check_own
 from ..io.schema import flag, number, numbers, pose, positive, record, rotation, shown, whole
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import SHAPES, ViewNetwork

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ...errors import SnergError
 from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
-from ...io.files import inside
 from ...io.guard import check_file, reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ...io.schema import FAR
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import find_image, image_folder, scaled_to

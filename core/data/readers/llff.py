@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
-from ...io.files import inside
 from ...io.guard import check_file, reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import image_folder, images_in, scaled_to
 

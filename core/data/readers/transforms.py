@@ -15,9 +15,10 @@ from ...errors import SnergError
 from ...geometry.box import Box
 from ...geometry.camera import Camera, focal_from_angle
 from ...geometry.distortion import MODELS, Distortion
-from ...io.files import inside, json_bytes, read_json, write_bytes
+from ...io.files import json_bytes, read_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import find_image, scaled_to
 from .ply import read_ply
