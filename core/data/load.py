@@ -1,4 +1,4 @@
-"""Opening a dataset: finding the reader that knows it, its splits, and its world set upright."""
+"""Reads a dataset: finds the reader of its format, orients its world, and selects a split."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ DEFAULT_OPTIONS = DatasetOptions()
 
 
 def read_dataset(path: str | os.PathLike[str], split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
-    """Open a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
+    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
 
-    Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.
+    Reads the header of each image, not its pixels. Raises SnergError when there is no such dataset or split, or an image, pose or lens
+    is missing or invalid.
     """
     with reading(Path(path), "write it again", f"The dataset {path}"):
         return _read_dataset(Path(path), split, options)
@@ -73,8 +74,7 @@ def _reduced(view: View, factor: int) -> View:
 
 
 def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
-    """Whatever is at `path`, read by the reader that knows it. Raises SnergError as `read_dataset` does."""
-
+    """What the reader of its format finds at `path`. Raises SnergError as `read_dataset` does."""
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
     if transforms.is_transforms(path):
@@ -89,7 +89,7 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
 
 
 def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
-    """The numbers of a split's views, and the names of all splits. Raises SnergError that lists the splits there are."""
+    """The indices of a split's views, and the names of all splits. Raises SnergError that lists the splits, or for too few views."""
     everything = range(len(source.views))
     if source.splits is not None:
         splits, names = source.splits, source.names or tuple(source.splits)
