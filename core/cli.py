@@ -24,14 +24,14 @@ from .commands.bundle import bundle_scene
 from .commands.effects import effects, effects_text
 from .commands.estimate import estimate
 from .commands.export import export_reference
+from .commands.export_vdb import export_vdb
 from .commands.import_artifact import import_source
 from .commands.info import info
 from .commands.render import render_views
 from .commands.train import settings_of, train_field
 from .data.dataset import DatasetOptions
 from .errors import EXIT_ERROR, EXIT_STOPPED, SnergError, clean, needs_jax, printable
-from .export.codecs import LOSSLESS, SUFFIXES, CodecSettings
-from .export.scene_files import PNG
+from .export.codecs import LOSSLESS, PNG, SUFFIXES, CodecSettings
 from .jobs import interrupt
 from .jobs.protocol import run_job
 from .jobs.task import Outcome
@@ -144,6 +144,10 @@ def parser() -> argparse.ArgumentParser:
     export = verb("export", "write a scene in the reference PNG layout", lambda o, p: export_reference(o.scene, o.out, p))
     export.add_argument("scene", type=path, metavar="SCENE")
     export.add_argument("--out", type=path, required=True, metavar="DIR")
+
+    volume = verb("export-vdb", "write a scene as an OpenVDB volume, for Cycles and EEVEE", lambda o, p: export_vdb(o.scene, o.out, p))
+    volume.add_argument("scene", type=path, metavar="SCENE")
+    volume.add_argument("--out", type=path, required=True, metavar="FILE.vdb")
 
     bundle = verb(
         "bundle", "write a scene as a web page", lambda o, p: bundle_scene(o.scene, o.out, o.cameras, o.single_file, p, _codec(o))

@@ -19,9 +19,8 @@ from ..baking.resume import THREADS
 from ..baking.supersampling import average, worth
 from ..baking.visibility import marching_camera
 from ..errors import SnergError
-from ..export.atlas import atlas_blocks, slices
-from ..export.codecs import pictures_of
-from ..export.scene_files import PNG
+from ..export.atlas import atlas_blocks, atlas_slices
+from ..export.codecs import PNG, images_of_slice
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays
@@ -276,7 +275,8 @@ def timed(field: Field, voxel_grid: VoxelGrid, points: NDArray[Any], start: floa
     eye, look, view, ray, table = _marches(small, views)
     met, growth = growing(small, coarser, views, MarchSettings())
     seen_met, seen_growth = growing(small, coarser, views, LOOKING)
-    pictures = (picture for part in slices(small.cells, atlas_blocks(len(small.cells))) for picture in pictures_of(part, PNG).values())
+    slices = atlas_slices(small.cells, atlas_blocks(len(small.cells)))
+    pictures = (picture for part in slices for picture in images_of_slice(part, PNG).values())
     return Rates(
         start=start,
         test=test,
