@@ -69,7 +69,7 @@ def compare(path: Path, looked: FieldProbe, resolution: int, samples: int, folde
     """One configuration, said and done."""
     name = path.parent.name if path.name == "field" else path.name
     print(f"{name}: {resolution} voxels, {samples or 'auto'} samples ...", file=sys.stderr, flush=True)
-    settings = BakeSettings(resolution=resolution, samples=samples)
+    settings = BakeSettings(resolution=resolution, supersampling=samples)
     began = time.perf_counter()
     said = estimate(looked, looked.field.domain.world_box(), settings, refine=False)
     took = time.perf_counter() - began

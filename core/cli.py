@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
-from .baking.bake import AUTO, BakeSettings
+from .baking.bake import AUTO_SUPERSAMPLING, BakeSettings
 from .commands.bake import bake_scene
 from .commands.bundle import bundle_scene
 from .commands.effects import effects, effects_text
@@ -217,7 +217,9 @@ def _baking(verb: argparse._ActionsContainer) -> None:
     )
     fineness.add_argument("--voxel-size", type=positive, metavar="SIZE", help="in units of the scene, in place of the resolution")
     verb.add_argument("--box", type=path, metavar="BOX.json", help='{"min": [x, y, z], "max": [x, y, z]}, or an oriented box')
-    verb.add_argument("--samples", type=samples, default=usual.samples, metavar="K", help="a voxel; auto (default): what is worth its time")
+    verb.add_argument(
+        "--samples", type=samples, default=usual.supersampling, metavar="K", help="a voxel; auto (default): what is worth its time"
+    )
     verb.add_argument("--no-refine", dest="refine", action="store_false", help="leave the view-dependence network as it was trained")
 
 
@@ -257,7 +259,7 @@ def _codec(options: argparse.Namespace) -> CodecSettings | None:
 def _bake(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     settings = BakeSettings(
         resolution=options.resolution,
-        samples=options.samples,
+        supersampling=options.samples,
         voxel_size=options.voxel_size,
         visibility=options.visibility,
         quantise=options.quantise,
@@ -287,7 +289,7 @@ def _evaluate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]
 
 def _estimate(options: argparse.Namespace, progress: Progress) -> dict[str, Any]:
     training = settings_of(options.preset, options.minutes, options.steps, 0, {})
-    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, samples=options.samples)
+    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, supersampling=options.samples)
     size = options.width, options.height
     return estimate(options.path, training, settings, options.box, options.refine, size, survey=options.survey, progress=progress)
 
@@ -394,7 +396,7 @@ def portion(text: str) -> float:
 
 def samples(text: str) -> int:
     """A whole number of samples a voxel, or 'auto'."""
-    return AUTO if text == "auto" else natural(text)
+    return AUTO_SUPERSAMPLING if text == "auto" else natural(text)
 
 
 def background(text: str) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..baking.bake import AUTO, VERSION, BakeSettings
+from ..baking.bake import AUTO_SUPERSAMPLING, BAKE_VERSION, BakeSettings
 from ..errors import SnergError
 from ..export.codecs import PNG, CodecSettings
 from ..io.files import json_bytes
@@ -61,13 +61,13 @@ class Config:
         march = {"tolerance": self.march.tolerance, "stop_transmittance": self.march.stop_transmittance}
         march |= {"per_sample_network": self.march.per_sample_network}
         rest = {"refine": self.refine, "codec": self.codec.to_json(), "field": self.field, "page": self.page}
-        return {"bake": asdict(self.bake), "version": VERSION, "march": march, **rest}
+        return {"bake": self.bake.to_json(), "version": BAKE_VERSION, "march": march, **rest}
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Config:
         """Undo `to_json`. Raises KeyError or TypeError where it is something else."""
         return cls(
-            BakeSettings(**value["bake"]),
+            BakeSettings.from_json(value["bake"]),
             value["refine"],
             CodecSettings.from_json(value["codec"]),
             MarchSettings(**value["march"]),
@@ -139,9 +139,9 @@ def _tried(
         yield replace(with_bake(usual, network=False), refine=False), NETWORK, "none"
     yield usual, BITS, "8"
     yield with_bake(usual, quantise=False), BITS, "32"
-    yield usual, SAMPLES, "auto" if baked.samples == AUTO else str(baked.samples)
-    for count in sorted({1, 2, 4, 8} - {baked.samples}):
-        yield with_bake(usual, samples=count), SAMPLES, str(count)
+    yield usual, SAMPLES, "auto" if baked.supersampling == AUTO_SUPERSAMPLING else str(baked.supersampling)
+    for count in sorted({1, 2, 4, 8} - {baked.supersampling}):
+        yield with_bake(usual, supersampling=count), SAMPLES, str(count)
     for alpha in sorted({baked.alpha_threshold, 0.001, 0.02, 0.1}):
         yield with_bake(usual, alpha_threshold=alpha), ALPHA, f"{alpha:g}"
     if cameras:

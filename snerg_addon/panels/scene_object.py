@@ -43,6 +43,8 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
+            if not draw.fits(entry.scene):
+                draw_sentence(layout, "The viewport does not draw it: it needs more graphics memory than the preferences allow", "ERROR")
             draw_box(
                 layout,
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",

@@ -66,6 +66,12 @@ class GpuScene:
         return np.ascontiguousarray(found.transpose(2, 1, 0, 3))
 
 
+def bytes_of(scene: Scene) -> int:
+    """Bytes of graphics memory that a scene takes, about: its cells, and a 256th of that for what can be skipped."""
+    channels = 4 if scene.network is None else 8
+    return len(scene.cells) * CELL_VOXELS**3 * channels + len(scene.cells) * COARSE_CELL**3 + 16 * scene.indirection.size
+
+
 def layout(cells: int, most_pages: int) -> tuple[int, tuple[int, int, int]]:
     """(cells a page, cells along x, y and z of it): the smallest pages of which `most_pages` hold all."""
     for side in SIDES:

@@ -34,7 +34,7 @@ import sys
 from snerg.core import cli
 from snerg.core.training import trainer as train
 from snerg.core.baking import resume as kept
-train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
+train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_SECONDS = -1.0, 1e9, -1.0
 class Keeper(train.Keeper):
     def __init__(self, trainer, folder, save_every):
         super().__init__(trainer, folder, 0.0)
@@ -132,7 +132,7 @@ def train(folder: Path, dataset: Path) -> Command:
 
 def bake(folder: Path, dataset: Path) -> Command:
     train_field(dataset, folder / "field", steps=12)
-    bake_scene(folder / "field", folder / "old", BakeSettings(40, samples=1), refine=False)
+    bake_scene(folder / "field", folder / "old", BakeSettings(40, supersampling=1), refine=False)
     arguments = ["bake", str(folder / "field"), "--resolution", "80", "--samples", "1", "--no-refine"]
     return Command(arguments, "%", scene_state)
 

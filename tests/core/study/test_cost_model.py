@@ -74,7 +74,7 @@ def surveyed():
 def test_what_is_counted_is_what_is_baked(surveyed, resolution):
     from snerg.core.study.cost_model import estimate
 
-    settings = BakeSettings(resolution=resolution, samples=1)
+    settings = BakeSettings(resolution=resolution, supersampling=1)
     said, told = estimate(surveyed, BOX, settings), bake(surveyed.field, BOX, surveyed.field.cameras, settings).about["bake"]
     assert said.held == pytest.approx(told["voxels"]["held"], rel=0.1)
     assert said.kept == pytest.approx(told["voxels"]["seen"], rel=0.25) and said.kept < 0.9 * said.held  # the inside is seen by none
@@ -97,12 +97,12 @@ def test_a_smaller_box_takes_less(surveyed):
 def test_what_is_left_out_is_not_counted(surveyed):
     from snerg.core.study.cost_model import estimate
 
-    whole = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4))
-    matte = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, network=False))
+    whole = estimate(surveyed, BOX, BakeSettings(resolution=200, supersampling=4))
+    matte = estimate(surveyed, BOX, BakeSettings(resolution=200, supersampling=4, network=False))
     assert matte.megabytes == pytest.approx(whole.megabytes / 2) and matte.peak_megabytes < whole.peak_megabytes
-    floats = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, quantise=False))
+    floats = estimate(surveyed, BOX, BakeSettings(resolution=200, supersampling=4, quantise=False))
     assert floats.peak_megabytes > whole.peak_megabytes
-    assert estimate(surveyed, BOX, BakeSettings(resolution=200, samples=8)).bake > whole.bake
+    assert estimate(surveyed, BOX, BakeSettings(resolution=200, supersampling=8)).bake > whole.bake
     assert 0.2 < estimate(surveyed, BOX, size=(400, 400)).preview / estimate(surveyed, BOX).preview < 0.4
 
 
