@@ -1,7 +1,7 @@
 """Reading and writing pictures as arrays, and the sRGB curve.
 
-A picture is taken as it is stored: where its EXIF data say that it should be turned for viewing, it is not turned, because the
-poses that COLMAP and all that build on it find are those of the stored pixels.
+Images are read as they are stored. An EXIF orientation is not applied, because COLMAP and tools that use it find poses for the stored
+pixels.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..errors import SnergError
 from .files import write_bytes
 from .guard import check_file, reading, why
 
-MAX_PIXELS = 2**27  # 134 million: past any camera, short of filling the memory from a small file (hard case 61)
-FLAT_PIXELS = 2**24  # that a picture of any few bytes may have
-FLAT_MASK = 2**26  # and a mask, which is one channel and may be white throughout
-PIXELS_PER_BYTE = 256  # that larger ones may have: an empty picture of 8-bit RGBA as PNG has 250, what shows something has fewer
+MAX_PIXELS = 2**27  # of an image: more than any camera has, too few for a small file to fill the memory (hard case 61)
+FLAT_PIXELS = 2**24  # of an image whatever its size in bytes
+FLAT_MASK = 2**26  # of a mask whatever its size in bytes: it has one channel and may be white throughout
+PIXELS_PER_BYTE = 256  # of larger images: an empty 8-bit RGBA PNG has 250, others have fewer
 MAX_BYTES = 2**31
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # Pillow knows more, some of which start other programs
-LINEAR = (".exr",)  # read through OpenImageIO
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
+LINEAR = (".exr",)  # read with OpenImageIO
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
@@ -79,7 +79,7 @@ def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
 
 
 def damaged(path: Path, error: Exception | str) -> SnergError:
-    """The sentence for a picture that cannot be decoded."""
+    """The error for an image that cannot be decoded."""
     return SnergError(f"The image {path} is damaged ({error}); write it again.")
 
 

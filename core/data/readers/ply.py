@@ -1,4 +1,4 @@
-"""Points with colours from a PLY file."""
+"""Reads points with colours from a PLY file, text or binary."""
 
 from __future__ import annotations
 
