@@ -9,7 +9,7 @@ from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
 from ..export.scene_files import codec_of, is_current
-from ..io.files import one_generation
+from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
 from ..scene.scene import Scene

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..artifact import Result, kind_of, open_scene
 from ..export.reference import reference_files, write_reference
 from ..export.scene_files import is_scene, scene_files
-from ..io.files import one_generation
+from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
 from ..scene.scene import Scene

@@ -1,4 +1,4 @@
-"""`snerg import`: a field, a checkpoint or a scene from elsewhere."""
+"""`snerg import`: copies a field, a checkpoint or a scene into SNeRG's own layout."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from .info import info
 
 @writes_out("an import")
 def import_source(source: Path, out: Path, progress: Progress = silent) -> Result:
-    """Bring in a field (ours, or a reference checkpoint) or a baked scene (ours, or in the reference layout).
+    """Write the field at `source` (SNeRG's own, or a reference checkpoint) or the scene (SNeRG's own, a web page's, or in the
+    reference layout) to `out`. Returns the description of `info`, with the kind of the source.
 
     Raises SnergError when `source` is neither, or damaged.
     """
@@ -27,7 +28,7 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
         write_scene(open_scene(source, within(progress, 0, 0.5)), out, within(progress, 0.5, 1))
     elif kind in ("field", "checkpoint"):
         field = open_field(source)
-        with new_folder(out) as folder:  # so that the log of a training that was there before goes with its field
+        with new_folder(out) as folder:  # a new folder, so that the log of an earlier training there is replaced with its field
             write_field(field, folder)
     else:
         raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")

@@ -12,7 +12,8 @@ from ..artifact import Result
 from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
-from ..io.files import folder_bytes, one_generation
+from ..io.files import folder_bytes
+from ..io.generation import one_generation
 from ..io.lock import one_writer
 from ..nerf.checkpoint import read_field
 from ..progress import Note, Progress, silent

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.dataset import Dataset, DatasetOptions
-from ..data.load import read_dataset
+from ..data.load import read_dataset, read_split
 from ..errors import SnergError, needs_jax
 from ..geometry.camera import Camera
 from ..io.files import check_replaceable, json_bytes, new_folder
@@ -88,7 +88,7 @@ def held_out(path: Path, options: DatasetOptions) -> Dataset:
     train = read_dataset(path, "train", options)
     for split in ("test", "val"):
         if split in train.splits():
-            return read_dataset(path, split, options)
+            return read_split(train, split)
     raise SnergError(f"{path} has no views that training did not see; hold some out, or measure on --split train.")
 
 

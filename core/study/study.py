@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..artifact import Result, kind_of, open_field, open_scene
 from ..baking.bake import BakeSettings
 from ..data.dataset import Dataset, DatasetOptions
-from ..data.load import read_dataset
+from ..data.load import read_dataset, read_split
 from ..errors import SnergError
 from ..export.codecs import SUFFIXES
 from ..export.scene_files import write_scene
@@ -135,7 +135,7 @@ def _views(
         views = held_out(path, options)
         seen = "" if opened is None else " The field has seen them, so that its figures flatter it."
         notes.append(f"{path} holds no views out; every {HOLDOUT}th is held out here.{seen}")
-    return some_views(views, settings.views), read_dataset(path, "train", options)
+    return some_views(views, settings.views), read_split(views, "train")
 
 
 def digest(path: Path) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.dataset import HELD_OUT, Dataset
-from ..data.load import read_dataset
+from ..data.load import read_split
 from ..errors import SnergError
 from ..geometry.ndc import Ndc
 from ..io.images import over, to_uint8
@@ -169,7 +169,7 @@ def held_out_of(dataset: Dataset) -> Dataset | None:
     for split in HELD_OUT:
         if split in dataset.splits() and split != dataset.split:
             try:
-                return some_views(read_dataset(dataset.root, split, dataset.options))
+                return some_views(read_split(dataset, split))
             except SnergError:
                 continue  # training does not need these images
     return None

@@ -10,7 +10,7 @@ import pytest
 
 from scenes import make_snerg
 from snerg.core import cli
-from snerg.core.errors import LONGEST, SnergError
+from snerg.core.errors import MAX_MESSAGE, SnergError
 from snerg.core.export.scene_files import write_scene
 from snerg.core.progress import Note
 
@@ -71,7 +71,7 @@ def test_a_path_that_the_system_refuses(verb, where, tmp_path, capfd):
         importlib.import_module(f"snerg.core.{name}")
     with as_nobody(tmp_path) if where == "closed" else nullcontext():
         assert cli.main(arguments) == 2
-    assert len(sentence(capfd.readouterr().err)) < LONGEST + 100
+    assert len(sentence(capfd.readouterr().err)) < MAX_MESSAGE + 100
 
 
 @contextmanager
@@ -93,7 +93,7 @@ def as_nobody(folder):
 def test_names_in_messages_stay_on_one_line_and_short(tmp_path, capsys):
     name = "a\nsnerg: \x1b[2J\x1b]0;gone\x07 \u202edetrever\r" + "b" * 300_000
     text = str(SnergError(f"{name} is wrong; write it again."))
-    assert text.isprintable() and len(text) <= LONGEST and text.startswith("a snerg:  [2J") and text.endswith("write it again.")
+    assert text.isprintable() and len(text) <= MAX_MESSAGE and text.startswith("a snerg:  [2J") and text.endswith("write it again.")
     assert cli.main(["info", str(tmp_path / "a\nb\x1b[2Jc")]) == 2
     error = capsys.readouterr().err
     assert "a b [2Jc" in sentence(error) and "\x1b" not in error
