@@ -1,4 +1,4 @@
-"""What the benchmarks share: verbs in processes of their own, the demo's scene, and the machine."""
+"""What the benchmarks share: commands in processes of their own, the demo's scene, and the machine."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ sys.exit(code)
 
 
 def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
-    """Run a verb in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
+    """Run a command in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
     command = [sys.executable, "-m", "snerg.core.start", *arguments, "--json"]
     child = subprocess.run([sys.executable, "-S", "-c", WATCH, *command], stdout=subprocess.PIPE, text=True)
     if child.returncode != 0:

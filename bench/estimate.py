@@ -24,7 +24,7 @@ from snerg.core.nerf.checkpoint import read_field
 from snerg.core.rendering.acceleration import acceleration_of
 from snerg.core.rendering.render import render_scene
 from snerg.core.study.cost_model import estimate
-from snerg.core.study.field_probe import FieldProbe, survey
+from snerg.core.study.field_probe import FieldProbe, probe_field
 
 CONFIGURATIONS = ((128, 4), (256, 1), (256, 4), (256, 0), (384, 2), (512, 1), (512, 4), (512, 0))
 GOOD = 0.25
@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     machine, results = described(), []
     for path in fields:
-        looked = survey(read_field(path))
+        looked = probe_field(read_field(path))
         for resolution, samples in wanted:
             results.append(compare(path, looked, resolution, samples, options.out / "estimate"))
             (options.out / "estimate.json").write_text(json.dumps({"machine": machine, "rows": results}, indent=1) + "\n")

@@ -146,11 +146,11 @@ def subjects() -> list[Subject]:
         looked = FieldProbe(
             nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
         )
-        field_probe_file.write_survey(folder / "survey.npz", looked, "mark")
+        field_probe_file.write_field_probe(folder / "survey.npz", looked, "mark")
 
-    def read_survey(folder: Path) -> None:
+    def read_field_probe(folder: Path) -> None:
         with reading(folder / "survey.npz", "delete it"):
-            field_probe_file.check(*field_probe_file.opened(folder / "survey.npz"))
+            field_probe_file.checked(*field_probe_file.open_file(folder / "survey.npz"))
 
     def ply(folder: Path) -> None:
         head = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
@@ -190,7 +190,7 @@ def subjects() -> list[Subject]:
         Subject("page", lambda f: (f / "cameras.json").write_bytes(json_bytes(cameras_json(make_cameras()))),
                 lambda f: page_cameras(f / "cameras.json"), ("cameras.json",)),
         Subject("study row", row, lambda f: read_row(f / "row.json"), ("row.json",)),
-        Subject("survey", survey, read_survey, ("survey.npz",)),
+        Subject("survey", survey, read_field_probe, ("survey.npz",)),
         Subject("resume folder", kept, lambda f: list(ResumeCache(f, "key").read("stage")), ("*.npz",)),
     ]  # fmt: skip
     for codec in ("png", "webp", "jpeg", "avif", "float"):

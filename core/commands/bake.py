@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from ..nerf.field import Field
 from ..baking.bake_field import bake_field
 from .check_out import check_out
+from .command import Command
+from .options import add_bake_options, add_codec_options, codec_settings, path
 
 DEFAULT_BAKE = BakeSettings()
 
@@ -76,3 +79,32 @@ def images_to_refine_on(field: Field) -> Dataset | None:
             f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
         )
     return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg bake`."""
+    parser.add_argument("field", type=path, metavar="FIELD")
+    parser.add_argument("--out", type=path, required=True, metavar="SCENE")
+    add_bake_options(parser)
+    add_codec_options(parser, "png")
+    compared = parser.add_argument_group("ablations", "Each leaves out a part of the method, as in the tables of the paper.")
+    compared.add_argument("--no-visibility", dest="visibility", action="store_false", help="keep voxels that no camera sees")
+    compared.add_argument("--no-network", dest="network", action="store_false", help="no view dependence: store no features")
+    compared.add_argument("--float", dest="quantise", action="store_false", help="32 bits a value in place of 8")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg bake`."""
+    settings = BakeSettings(
+        resolution=options.resolution,
+        samples=options.samples,
+        voxel_size=options.voxel_size,
+        visibility=options.visibility,
+        quantise=options.quantise,
+        network=options.network,
+    )
+    codec = codec_settings(options) or PNG
+    return bake_scene(options.field, options.out, settings, options.box, options.refine, progress, codec)
+
+
+COMMAND = Command("bake", "bake a field into a scene", add_options, run)

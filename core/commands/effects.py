@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of, open_field, open_scene
@@ -9,6 +10,8 @@ from ..data.load import read_dataset
 from ..export.scene_files import PNG, codec_of, is_scene
 from ..progress import Progress, silent
 from ..study.effects import Effect, of_dataset, of_field, of_scene
+from .command import Command
+from .options import path as path_argument
 
 
 def effects(path: Path, progress: Progress = silent) -> Result:
@@ -37,3 +40,16 @@ def effects_text(result: Result) -> str:
         effect = Effect.from_json(value)
         lines += [effect.decision.text(), f"    costs: {effect.costs} Left out, it saves: {effect.saves}"]
     return "\n".join(lines)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg effects`."""
+    parser.add_argument("path", type=path_argument, metavar="PATH")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg effects`."""
+    return effects(options.path, progress)
+
+
+COMMAND = Command("effects", "list which optional effects a scene needs, and why", add_options, run, effects_text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import time
 from collections.abc import Sequence
@@ -17,6 +18,8 @@ from ..progress import Progress, silent, within
 from ..rendering.render import MarchSettings, render_scene
 from ..study.evaluate import ready_scene
 from .check_out import check_out
+from .command import Command
+from .options import add_march_options, count, march_settings, path
 
 DEFAULT_MARCH = MarchSettings()
 
@@ -73,3 +76,22 @@ def file_names(names: Sequence[str]) -> list[str]:
     if all(plain) and len({name.lower() for name in plain}) == len(plain):
         return plain
     return [f"{index:03d}_{name}".rstrip("_") for index, name in enumerate(plain)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg render`."""
+    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
+    parser.add_argument("--out", type=path, required=True, metavar="DIR")
+    parser.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
+    parser.add_argument("--height", type=count, metavar="H")
+    add_march_options(parser)
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg render`."""
+    settings = march_settings(options)
+    return render_views(options.scene, options.cameras, options.out, options.width, options.height, progress, settings)
+
+
+COMMAND = Command("render", "render a scene from cameras", add_options, run)

@@ -106,7 +106,7 @@ class FieldProbe:
     seconds: float
 
 
-def survey(field: Field, seed: int = 0) -> FieldProbe:
+def probe_field(field: Field, seed: int = 0) -> FieldProbe:
     """Look at a field, and time this machine on it (JAX). Takes a few seconds beside compiling.
 
     Raises SnergError for a field that cannot be baked, or that is empty.

@@ -37,7 +37,7 @@ from ..rendering.render import render_scene
 from ..scene.scene import Scene
 from .cost_model import Estimate, estimate
 from .evaluate import Score
-from .field_probe import FieldProbe, survey
+from .field_probe import FieldProbe, probe_field
 from .machine import watched
 from .pareto import Row
 from .plan import Config, Step
@@ -89,10 +89,10 @@ class Sweep:
             self._fields[name] = open_field(self.subject.fields[name])
         return self._fields[name]
 
-    def survey(self, name: str) -> FieldProbe:
+    def probe_field(self, name: str) -> FieldProbe:
         """Of a field, for predictions; taken once."""
         if name not in self._surveys:
-            self._surveys[name] = survey(self.field(name))
+            self._surveys[name] = probe_field(self.field(name))
         return self._surveys[name]
 
     def refinable(self, name: str) -> bool:

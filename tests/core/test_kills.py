@@ -31,14 +31,14 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
-from snerg.core import cli
+from snerg.core import cli, terminal
 from snerg.core.training import trainer as train
 from snerg.core.baking import resume as kept
 train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
 class Keeper(train.Keeper):
     def __init__(self, trainer, folder, save_every):
         super().__init__(trainer, folder, 0.0)
-train.Keeper, cli.EVERY_SECONDS = Keeper, 0.0
+train.Keeper, terminal.LINE_SECONDS = Keeper, 0.0
 sys.exit(cli.main(sys.argv[1:]))
 """
 

@@ -145,7 +145,7 @@ def test_a_scene_that_says_nothing_of_its_bake():
     assert found["Visibility culling"].chosen == found["Samples a voxel"].chosen == found["Transparency"].chosen == UNKNOWN
 
 
-def test_the_verb_prints_a_table(dataset, tmp_path, capsys):
+def test_the_command_prints_a_table(dataset, tmp_path, capsys):
     write_scene(baked(make_snerg((31, 30, 33), fog=False)), tmp_path / "scene", codec=CodecSettings("jpeg", 80))
     assert cli.main(["effects", str(tmp_path / "scene")]) == 0
     out = capsys.readouterr().out
