@@ -18,13 +18,13 @@ from common import ROOT
 from naive_march import naive_march
 
 from snerg.core.geometry.camera import Camera
-from snerg.core.rendering import ray_marcher
+from snerg.core.rendering import interpolator, ray_marcher
 from snerg.core.rendering.acceleration import acceleration_of
-from snerg.core.rendering.render import INVISIBLE, MarchSettings, march_rays, progressive, render_scene, tiled
+from snerg.core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
 
 ALONE = MarchSettings(threads=1)
-SHOWN = MarchSettings(INVISIBLE)
+SHOWN = MarchSettings(PREVIEW_TOLERANCE)
 REPEATS = 3
 RANDOM = 2**22  # words read in no order
 
@@ -46,23 +46,23 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> float:
     return min(seconds)
 
 
-def preview(snerg: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
+def preview(scene: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
     """Seconds a picture at two sizes (median over the views, and the slowest), until a first small one, at the tolerance with which
     Blender shows it, and against the naive march."""
     result: dict[str, Any] = {"views": len(cameras)}
     for name, pixels in (("small", size), ("large", 2 * size)):
         views = [sized(camera, pixels) for camera in cameras]
-        seconds = [timed(lambda view=view: render_scene(snerg, view)) for view in views]  # type: ignore[misc]
-        first = [timed(lambda view=view: next(progressive(snerg, view))) for view in views]  # type: ignore[misc]
-        shown = [timed(lambda view=view: render_scene(snerg, view, SHOWN)) for view in views]  # type: ignore[misc]
+        seconds = [timed(lambda view=view: render_scene(scene, view)) for view in views]  # type: ignore[misc]
+        first = [timed(lambda view=view: next(render_progressively(scene, view))) for view in views]  # type: ignore[misc]
+        shown = [timed(lambda view=view: render_scene(scene, view, SHOWN)) for view in views]  # type: ignore[misc]
         medians = {key: statistics.median(values) for key, values in (("seconds", seconds), ("first", first), ("shown", shown))}
         result[name] = {"pixels": pixels, "slowest": max(seconds), **medians}
     view = sized(cameras[0], size)
-    quick = timed(lambda: render_scene(snerg, view))
+    quick = timed(lambda: render_scene(scene, view))
     began = time.perf_counter()
-    naive = naive_march(snerg, view)
+    naive = naive_march(scene, view)
     slow = time.perf_counter() - began
-    difference = float(np.abs(naive - render_scene(snerg, view).over()).max())
+    difference = float(np.abs(naive - render_scene(scene, view).over()).max())
     return result | {"naive": {"seconds": slow, "ours": quick, "times": slow / quick, "difference": difference}}
 
 
@@ -110,14 +110,14 @@ class Profile:
         return sorted(found.values(), key=lambda row: -row["seconds"])
 
 
-def profile(snerg: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
+def profile(scene: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
     """The march of some views in one thread: seconds in all, and by function."""
     views = [sized(camera, size) for camera in cameras]
-    alone = sum(timed(lambda view=view: render_scene(snerg, view, ALONE), 1) for view in views)  # type: ignore[misc]
+    alone = sum(timed(lambda view=view: render_scene(scene, view, ALONE), 1) for view in views)  # type: ignore[misc]
     with Profile() as found:
         began = time.perf_counter()
         for view in views:
-            render_scene(snerg, view, ALONE)
+            render_scene(scene, view, ALONE)
         watched = time.perf_counter() - began
     rows = found.rows()
     left = watched - sum(row["seconds"] for row in rows)
@@ -130,26 +130,26 @@ def interpolated() -> Iterator[list[np.ndarray]]:
     """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array."""
     calls: list[np.ndarray] = []
 
-    class ResumeCache(ray_marcher.Interpolate):
+    class Recorder(ray_marcher.Interpolator):
         def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
             calls.append(first.copy())
             return super().__call__(first, fraction)
 
-    usual = ray_marcher.Interpolate
-    ray_marcher.Interpolate = ResumeCache  # type: ignore[misc]
+    usual = ray_marcher.Interpolator
+    ray_marcher.Interpolator = Recorder  # type: ignore[misc]
     try:
         yield calls
     finally:
-        ray_marcher.Interpolate = usual  # type: ignore[misc]
+        ray_marcher.Interpolator = usual  # type: ignore[misc]
 
 
-def gathering(snerg: Scene, camera: Camera, size: int) -> dict[str, Any]:
+def gathering(scene: Scene, camera: Camera, size: int) -> dict[str, Any]:
     """The march in one thread beside what the machine needs just to read the same voxels, in the same order, and in none."""
-    view, tables = sized(camera, size), acceleration_of(snerg)
+    view, tables = sized(camera, size), acceleration_of(scene)
     with interpolated() as calls:
-        render_scene(snerg, view, ALONE)
-    reader = ray_marcher.Interpolate(tables)
-    spare = np.empty((ray_marcher.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
+        render_scene(scene, view, ALONE)
+    reader = ray_marcher.Interpolator(tables)
+    spare = np.empty((interpolator.MAX_INTERPOLATED, *tables.voxels.shape[1:]), tables.voxels.dtype)
 
     def read(calls: list[np.ndarray]) -> None:
         for first in calls:
@@ -158,32 +158,32 @@ def gathering(snerg: Scene, camera: Camera, size: int) -> dict[str, Any]:
 
     samples = sum(len(first) for first in calls)
     rng = np.random.default_rng(0)
-    anywhere = rng.integers(0, len(reader.corners[-1]), max(1, RANDOM // 8 // ray_marcher.SLICE) * ray_marcher.SLICE).reshape(
-        -1, ray_marcher.SLICE
-    )
+    anywhere = rng.integers(
+        0, len(reader.corners[-1]), max(1, RANDOM // 8 // interpolator.MAX_INTERPOLATED) * interpolator.MAX_INTERPOLATED
+    ).reshape(-1, interpolator.MAX_INTERPOLATED)
     return {
         "pixels": size,
         "rays": view.width * view.height,
         "samples": samples,
         "word_bytes": tables.voxels.itemsize * (tables.voxels.shape[1] if tables.voxels.ndim > 1 else 1),
-        "march": timed(lambda: render_scene(snerg, view, ALONE)),
+        "march": timed(lambda: render_scene(scene, view, ALONE)),
         "in_order": timed(lambda: read(calls)),
         "at_random": timed(lambda: read(list(anywhere))) * 8 * samples / (8 * anywhere.size),
     }
 
 
-def growing(snerg: Scene, camera: Camera, size: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+def growing(scene: Scene, camera: Camera, size: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
     """(rays, seconds) of one view at rising sizes; (samples taken, seconds) of as many rays that see more and more of the scene."""
     rays = []
     for share in (0.25, 0.5, 0.75, 1, 1.25, 1.5, 1.75, 2):
         view = sized(camera, max(8, round(share * size)))
-        rays.append((float(view.width * view.height), timed(lambda view=view: render_scene(snerg, view))))  # type: ignore[misc]
+        rays.append((float(view.width * view.height), timed(lambda view=view: render_scene(scene, view))))  # type: ignore[misc]
     samples = []
     for zoom in (0.3, 0.5, 0.7, 0.85, 1, 1.15, 1.3):
         view = sized(camera, size)
         view = replace(view, focal=(zoom * view.focal[0], zoom * view.focal[1]))
-        rays_of_view = view.rays(tiled(view.width, view.height))
+        rays_of_view = view.rays(tiled_pixels(view.width, view.height))
         samples.append(
-            (float(march_rays(snerg, *rays_of_view, near=view.near).samples or 0), timed(lambda view=view: render_scene(snerg, view)))
+            (float(march_rays(scene, *rays_of_view, near=view.near).samples or 0), timed(lambda view=view: render_scene(scene, view)))
         )  # type: ignore[misc]
     return rays, samples

@@ -29,58 +29,58 @@ class Truth:
         return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
 
 
-def dense_march(snerg: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
+def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
     """Every sample of every ray, one after the other (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
-    values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near), per_sample_network)
+    values, through, depth = dense_rays(scene, origins, directions, max(scene.near, camera.near), per_sample_network)
     colour = values[:, :3].copy()
-    if snerg.network is not None and not per_sample_network:
+    if scene.network is not None and not per_sample_network:
         seen = through <= NETWORK_TRANSMITTANCE
         white = colour + through[:, None]
-        colour[seen] += residual(snerg, white[seen], values[seen, 3:], directions[seen] @ snerg.view_rotation.T)
+        colour[seen] += residual(scene, white[seen], values[seen, 3:], directions[seen] @ scene.view_rotation.T)
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(through < 1, depth / (1 - through), np.inf)
-        if snerg.ndc is not None:
-            depth = world_depth(snerg.ndc, origins, directions, depth, max(snerg.near, camera.near))
+        if scene.ndc is not None:
+            depth = world_depth(scene.ndc, origins, directions, depth, max(scene.near, camera.near))
     h, w = camera.height, camera.width
     return Truth(colour.reshape(h, w, 3), through.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
 def dense_rays(
-    snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
+    scene: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world; depth in units of
     the grid's space."""
     begins = near
-    views = directions @ snerg.view_rotation.T
-    if snerg.ndc is not None:
-        origins, directions = device_rays(snerg.ndc, origins, directions, near)
+    views = directions @ scene.view_rotation.T
+    if scene.ndc is not None:
+        origins, directions = device_rays(scene.ndc, origins, directions, near)
         begins = 0.0
-    axes, corner = snerg.grid_to_world[:3, :3], snerg.grid_to_world[:3, 3]
-    origin = (origins - corner) @ axes / snerg.voxel_size
+    axes, corner = scene.grid_to_world[:3, :3], scene.grid_to_world[:3, 3]
+    origin = (origins - corner) @ axes / scene.voxel_size
     direction = directions @ axes
     with np.errstate(divide="ignore", invalid="ignore"):
-        walls = np.stack([-origin / direction, (np.array(snerg.shape) - origin) / direction])
+        walls = np.stack([-origin / direction, (np.array(scene.shape) - origin) / direction])
     parallel = direction == 0
-    inside = (origin >= 0) & (origin <= np.array(snerg.shape))
+    inside = (origin >= 0) & (origin <= np.array(scene.shape))
     enters = np.where(parallel, np.where(inside, -np.inf, np.inf), walls.min(axis=0)).max(axis=-1)
     leaves = np.where(parallel, np.where(inside, np.inf, -np.inf), walls.max(axis=0)).min(axis=-1)
-    start = np.maximum(enters, begins / snerg.voxel_size)
-    values = np.zeros((len(origin), snerg.cells.shape[-1] - 1))
+    start = np.maximum(enters, begins / scene.voxel_size)
+    values = np.zeros((len(origin), scene.cells.shape[-1] - 1))
     through, depth = np.ones(len(origin)), np.zeros(len(origin))
     k = 0
     while True:
         t = start + 0.5 + k
         live = np.flatnonzero(t < leaves)
         if not len(live):
-            return fill(values, through, depth) if snerg.opacity_correction else (values, through, depth)
-        sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
+            return fill(values, through, depth) if scene.opacity_correction else (values, through, depth)
+        sample = trilinear(scene, origin[live] + t[live, None] * direction[live])
         if per_sample_network:  # as a surface of the sample's own colour would look, alpha times
             alpha = sample[:, -1:]
             straight = sample[:, :-1] / np.where(alpha > 0, alpha, 1)
-            sample[:, :3] += alpha * residual(snerg, straight[:, :3], straight[:, 3:], views[live])
+            sample[:, :3] += alpha * residual(scene, straight[:, :3], straight[:, 3:], views[live])
         values[live] += through[live, None] * sample[:, :-1]
-        depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
+        depth[live] += through[live] * sample[:, -1] * t[live] * scene.voxel_size
         through[live] *= 1 - sample[:, -1]
         k += 1
 
@@ -115,11 +115,11 @@ def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance:
     return np.linalg.norm(local @ ndc.camera_to_world[:3, :3].T + ndc.camera_to_world[:3, 3] - origins, axis=-1)
 
 
-def trilinear(snerg: Scene, points: np.ndarray) -> np.ndarray:
+def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
     """[N, 3] voxel coordinates inside the grid to [N, C] in [0, 1]; nothing in blocks without a cell."""
-    block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
-    cell = snerg.indirection[tuple(block.T)]
-    result = np.zeros((len(points), snerg.cells.shape[-1]))
+    block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(scene.indirection.shape) - 1)
+    cell = scene.indirection[tuple(block.T)]
+    result = np.zeros((len(points), scene.cells.shape[-1]))
     full = np.flatnonzero(cell >= 0)
     local = points[full] - DATA_VOXELS * block[full] + 0.5
     base = np.clip(np.floor(local).astype(int), 0, CELL_VOXELS - 2)
@@ -127,13 +127,13 @@ def trilinear(snerg: Scene, points: np.ndarray) -> np.ndarray:
     for offset in np.ndindex(2, 2, 2):
         weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1)
         x, y, z = (base + np.array(offset)).T
-        result[full] += weight[:, None] * snerg.cells[cell[full], x, y, z] / (255 if snerg.cells.dtype == np.uint8 else 1)
+        result[full] += weight[:, None] * scene.cells[cell[full], x, y, z] / (255 if scene.cells.dtype == np.uint8 else 1)
     return result
 
 
-def residual(snerg: Scene, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def residual(scene: Scene, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Equation 7, written out in float64."""
-    network = [np.asarray(a, np.float64) for a in snerg.network or ()]
+    network = [np.asarray(a, np.float64) for a in scene.network or ()]
     waves = [f(2.0**k * directions) for f in (np.sin, np.cos) for k in range(4)]
     x = np.concatenate([directions, *waves, colour, features], axis=-1)
     x = np.maximum(x @ network[0] + network[1], 0)

@@ -19,20 +19,20 @@ from ..io.files import json_bytes
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
-from ..scene.blocks import counts, grow, number, reach, renumbered
+from ..scene.blocks import count_voxels, dilate, number_blocks, reindex_blocks, touched_blocks
 from ..scene.scene import Scene
-from ..scene.voxel_grid import FINEST, VoxelGrid
-from .memory import check_fits
+from ..scene.voxel_grid import MAX_RESOLUTION, VoxelGrid
+from .memory import check_memory
 from .occupied_voxels import find_occupied_voxels
-from .opacity_correction import hole_errors
-from .prefilter import fill
+from .opacity_correction import opacity_correction_errors
+from .prefilter import fill_atlas
 from .resume import ResumeCache
-from .supersampling import choose_samples
+from .supersampling import choose_supersampling
 from .visibility import visible_voxels
 
-AUTO = 0  # samples: as many as are worth their time
-LOOKED_UP = 2  # bytes a voxel, while the tables of a march are made
-VERSION = 2  # of bakes: another where the same settings keep or give something else
+AUTO_SUPERSAMPLING = 0  # samples: as many as are worth their time
+ACCELERATION_BYTES = 2  # bytes a voxel, while the tables of a march are made
+BAKE_VERSION = 2  # of bakes: another where the same settings keep or give something else
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class BakeSettings:
     """
 
     resolution: int = 512
-    samples: int = AUTO
+    samples: int = AUTO_SUPERSAMPLING
     alpha_threshold: float = 0.005
     visibility_threshold: float = 0.01
     seed: int = 0
@@ -59,8 +59,8 @@ class BakeSettings:
     network: bool = True
 
     def __post_init__(self) -> None:
-        if self.resolution < 2 or self.resolution > FINEST:
-            raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {FINEST}.")
+        if self.resolution < 2 or self.resolution > MAX_RESOLUTION:
+            raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {MAX_RESOLUTION}.")
         if not 0 <= self.samples <= 64:
             raise SnergError(f"{self.samples} samples a voxel cannot be averaged; choose 1 to 64, or 0 to have the number measured.")
         if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
@@ -91,26 +91,26 @@ def bake(
     check_field(field)
     voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     channels = 8 if settings.network and field.network is not None else 4
-    looks = LOOKED_UP if field.ndc is not None and settings.opacity_correction is None else 0
-    check_fits(field, box, voxel_grid, channels * (1 if settings.quantise else 4) + looks)
-    kept = ResumeCache(resume, key_of(field, box, cameras, settings) if resume is not None else "")
-    tell, clock = TimeLeft(progress), _Clock()
+    looks = ACCELERATION_BYTES if field.ndc is not None and settings.opacity_correction is None else 0
+    check_memory(field, box, voxel_grid, channels * (1 if settings.quantise else 4) + looks)
+    kept = ResumeCache(resume, resume_key(field, box, cameras, settings) if resume is not None else "")
+    tell, clock = TimeLeft(progress), _StageTimer()
 
     matter = find_occupied_voxels(field, voxel_grid, settings.alpha_threshold, kept, lambda f: tell(0.25 * f, "Looking where something is"))
     clock.lap("occupancy")
-    indirection = number(reach(matter.bits, matter.indirection))
-    bits = grow(renumbered(matter.bits, matter.indirection, indirection), indirection)
-    voxels: dict[str, int | None] = {"held": int(counts(bits).sum()), "seen": None}
+    indirection = number_blocks(touched_blocks(matter.bits, matter.indirection))
+    bits = dilate(reindex_blocks(matter.bits, matter.indirection, indirection), indirection)
+    voxels: dict[str, int | None] = {"held": int(count_voxels(bits).sum()), "seen": None}
     light = None
     if cameras and settings.visibility and len(bits):
         seen, light = visible_voxels(matter, voxel_grid, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
-        bits &= renumbered(seen, matter.indirection, indirection)
-        voxels["seen"] = int(counts(bits).sum())
+        bits &= reindex_blocks(seen, matter.indirection, indirection)
+        voxels["seen"] = int(count_voxels(bits).sum())
     clock.lap("visibility")
     samples, evidence = settings.samples, None
-    if samples == AUTO:
-        samples, evidence = choose_samples(field, voxel_grid, bits, indirection, settings.seed)
-    cells, indirection = fill(
+    if samples == AUTO_SUPERSAMPLING:
+        samples, evidence = choose_supersampling(field, voxel_grid, bits, indirection, settings.seed)
+    cells, indirection = fill_atlas(
         field,
         voxel_grid,
         bits,
@@ -139,29 +139,31 @@ def bake(
     if not len(cells):
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
     network = field.network if channels == 8 else None
-    snerg = Scene(
+    scene = Scene(
         voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, network, about={"bake": about}, ndc=field.ndc
     )
-    snerg = with_equation_9(snerg, field, cameras, settings, lambda f: tell(0.98 + 0.02 * f, "Looking for holes"))
+    scene = decide_opacity_correction(scene, field, cameras, settings, lambda f: tell(0.98 + 0.02 * f, "Looking for holes"))
     clock.lap("holes")
     tell(1.0, "Baking")
-    return snerg
+    return scene
 
 
-def with_equation_9(snerg: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]) -> Scene:
+def decide_opacity_correction(
+    scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]
+) -> Scene:
     """The scene with equation 9 where the settings say so, or, in a forward-facing one, where its rays come nearer to the field's with it
     (or there are none)."""
     fills = settings.opacity_correction
-    if fills is None and snerg.ndc is not None and cameras and len(snerg.cells):
-        errors = hole_errors(field, snerg, cameras, settings.seed, tell)
-        snerg.about["bake"]["holes"] = errors
+    if fills is None and scene.ndc is not None and cameras and len(scene.cells):
+        errors = opacity_correction_errors(field, scene, cameras, settings.seed, tell)
+        scene.about["bake"]["holes"] = errors
         fills = errors["with"] < errors["without"]
     if fills is None:
-        fills = snerg.ndc is not None
-    return replace(snerg, opacity_correction=True) if fills else snerg
+        fills = scene.ndc is not None
+    return replace(scene, opacity_correction=True) if fills else scene
 
 
-def check_lengths(settings: BakeSettings, field: Field) -> None:
+def check_voxel_size(settings: BakeSettings, field: Field) -> None:
     """Raises SnergError when voxels are to have a size in a space where no length is one of the scene's."""
     if settings.voxel_size is not None and field.ndc is not None:
         raise SnergError("The field lies in device coordinates, in which a length is not one of the scene; choose a resolution instead.")
@@ -174,22 +176,22 @@ def check_field(field: Field) -> None:
             f"The field's view dependence is of the kind {field.view!r}, sample by sample, which no grid can hold; "
             "train it with view dependence 'deferred' or 'diffuse' to bake it."
         )
-    for name, array in arrays_of(field).items():
+    for name, array in learnt_arrays(field).items():
         if not np.isfinite(array).all():
             raise SnergError(f"The field's {name} holds values that are not finite; train it again, or import an undamaged checkpoint.")
 
 
-def arrays_of(field: Field) -> dict[str, NDArray[Any]]:
+def learnt_arrays(field: Field) -> dict[str, NDArray[Any]]:
     """Everything that a field has learnt, by name."""
     network = {} if field.network is None else {f"view.{name}": np.asarray(array) for name, array in field.network._asdict().items()}
     return flatten(field.params) | network
 
 
-def key_of(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSettings) -> str:
+def resume_key(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSettings) -> str:
     """A name for a bake: another for another field, box, cameras or settings."""
     domain = field.domain
     plain = {
-        "version": VERSION,
+        "version": BAKE_VERSION,
         "settings": asdict(settings),
         "box": box.to_json(),
         "cameras": [camera.to_json() for camera in cameras],
@@ -199,7 +201,7 @@ def key_of(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSett
         "scale": domain.scale,
     }
     digest = hashlib.sha256(json_bytes(plain))
-    arrays = arrays_of(field) | {"centre": domain.centre, "low": domain.low, "high": domain.high}
+    arrays = learnt_arrays(field) | {"centre": domain.centre, "low": domain.low, "high": domain.high}
     if field.occupancy is not None:
         arrays["occupancy"] = field.occupancy
     for name, array in arrays.items():
@@ -226,7 +228,7 @@ class TimeLeft:
         self.progress(fraction, what)
 
 
-class _Clock:
+class _StageTimer:
     """Seconds of each stage."""
 
     def __init__(self) -> None:

@@ -36,13 +36,13 @@ def bake_field(
         from .fine_tune import RefineSettings, refine
     began = time.perf_counter()
     share = 0.97 if dataset is None else 0.7
-    snerg = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
+    scene = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
     known = trained(field.about)
     decided = {"decisions": field.about.get("decisions", [])}
-    snerg = replace(snerg, about={**snerg.about, "trained": known | decided})
+    scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()
-        snerg, _ = refine(snerg, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
+        scene, _ = refine(scene, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
         seconds["refine"] = time.perf_counter() - began
-    return snerg, {name: round(value, 2) for name, value in seconds.items()}
+    return scene, {name: round(value, 2) for name, value in seconds.items()}

@@ -21,7 +21,7 @@ from ..progress import Progress, silent, within
 from ..rendering.render import TILE, MarchSettings, march_rays
 from ..scene.scene import Scene
 
-TENTH = 10  # every tenth view is judged by
+VALIDATION_EVERY = 10  # every tenth view is judged by
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RefineSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class TrainingPixels:
     """Pixels of the training views as the baked scene composites them: what the network sees, and what it should add up to.
 
     colour: over white [N, 3]; features [N, 4]; directions [N, 3] in the network's axes; wanted: over white [N, 3]. held: how many of
@@ -57,7 +57,7 @@ class Gathered:
 
 
 def refine(
-    snerg: Scene,
+    scene: Scene,
     dataset: Dataset,
     settings: RefineSettings = RefineSettings(),
     progress: Progress = silent,
@@ -68,22 +68,22 @@ def refine(
     the old one if none is better. A diffuse or empty scene comes back as it is. Raises SnergError when an image cannot be read, Cancelled
     when `progress` does.
     """
-    if snerg.network is None or not len(snerg.cells):
-        return snerg, {"skipped": "the scene is diffuse" if len(snerg.cells) else "the scene is empty"}
+    if scene.network is None or not len(scene.cells):
+        return scene, {"skipped": "the scene is diffuse" if len(scene.cells) else "the scene is empty"}
     began = time.perf_counter()
-    gathered = gather(snerg, dataset, settings, within(progress, 0, 0.6))
+    gathered = march_training_views(scene, dataset, settings, within(progress, 0, 0.6))
     if len(gathered.colour) < 16:
-        return snerg, {"skipped": "no training view sees the scene"}
+        return scene, {"skipped": "no training view sees the scene"}
     marched = time.perf_counter()
-    network, report = fit(snerg.network, gathered, settings, within(progress, 0.6, 1))
+    network, report = fit(scene.network, gathered, settings, within(progress, 0.6, 1))
     report |= {
         "settings": asdict(settings),
         "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},
     }
-    return replace(snerg, network=network, about={**snerg.about, "refine": report}), report
+    return replace(scene, network=network, about={**scene.about, "refine": report}), report
 
 
-def gather(snerg: Scene, dataset: Dataset, settings: RefineSettings, progress: Progress) -> Gathered:
+def march_training_views(scene: Scene, dataset: Dataset, settings: RefineSettings, progress: Progress) -> TrainingPixels:
     """March a random share of every view's pixels, and keep those where the network runs and the view's mask does not hide them.
 
     The network is defined over white: another background adds to the image, over white, what white adds to the scene.
@@ -100,11 +100,11 @@ def gather(snerg: Scene, dataset: Dataset, settings: RefineSettings, progress: P
         order = np.lexsort((column, row, column // TILE, row // TILE))
         row, column = row[order], column[order]
         origins, directions = camera.rays(np.stack([column, row], axis=-1))
-        rays = march_rays(snerg, origins, directions, MarchSettings(), near=max(snerg.near, camera.near))
+        rays = march_rays(scene, origins, directions, MarchSettings(), near=max(scene.near, camera.near))
         used = rays.transmittance <= NETWORK_TRANSMITTANCE
         seen = np.flatnonzero(used if mask is None else used & mask[row, column])
         colour = rays.colour[seen] + rays.transmittance[seen, None]
-        towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
+        towards = (directions[seen] @ scene.view_rotation.T).astype(np.float32)
         pixels = image[row[seen], column[seen]]
         clear = 1 - pixels[:, 3:].astype(np.float32) / 255 if pixels.shape[-1] == 4 else np.float32(0)
         wanted = over(pixels) + dark * (rays.transmittance[seen, None] - clear)
@@ -113,14 +113,14 @@ def gather(snerg: Scene, dataset: Dataset, settings: RefineSettings, progress: P
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     order = rng.permutation(len(columns[0]))[: settings.pixels]
     view = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])[order]
-    aside = view % TENTH == TENTH // 2
-    held = int(aside.sum()) if aside.any() else max(1, len(order) // TENTH)
+    aside = view % VALIDATION_EVERY == VALIDATION_EVERY // 2
+    held = int(aside.sum()) if aside.any() else max(1, len(order) // VALIDATION_EVERY)
     order = order[np.argsort(~aside, kind="stable")]
     colour, features, towards, wanted = (column[order] for column in columns)
-    return Gathered(colour, features, towards, wanted, held)
+    return TrainingPixels(colour, features, towards, wanted, held)
 
 
-def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
+def fit(network: ViewNetwork, data: TrainingPixels, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
     """Adam on the squared error of the final colour; the best network on the pixels held out, and what it gained in dB."""
     columns = data.colour, data.features, data.directions, data.wanted
     test = tuple(jnp.asarray(a[: data.held]) for a in columns)
@@ -146,14 +146,14 @@ def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress
         since = 0 if now < best * 0.9995 else since + 1
         if now < best:
             best, kept = now, params
-        progress(epoch / settings.epochs, f"Refining: {decibel(now):.2f} dB, was {decibel(first):.2f}")
+        progress(epoch / settings.epochs, f"Refining: {psnr(now):.2f} dB, was {psnr(first):.2f}")
         if since >= settings.patience:
             break
-    report = {"psnr_before": decibel(first), "psnr_after": decibel(best), "gain_db": decibel(best) - decibel(first), "epochs": epoch}
+    report = {"psnr_before": psnr(first), "psnr_after": psnr(best), "gain_db": psnr(best) - psnr(first), "epochs": epoch}
     return as_numpy(kept), report
 
 
-def decibel(error: float) -> float:
+def psnr(error: float) -> float:
     """PSNR of a mean squared error, at most 100."""
     return -10 * float(np.log10(max(error, 1e-10)))
 

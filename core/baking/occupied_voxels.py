@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ..nerf.field import Field
 from ..nerf.volume_rendering import optical_depth
-from ..scene.blocks import DATA_VOXELS, covered, number, pack
+from ..scene.blocks import DATA_VOXELS, blocks_in_ranges, number_blocks, pack_mask
 from ..scene.voxel_grid import VoxelGrid
-from .resume import Arrays, ResumeCache, are, each
+from .resume import Arrays, ResumeCache, arrays_match, run_parts
 
-SLAB = 8  # blocks looked at together
-FAINT = np.float32(1 / 1024)  # optical depth of a voxel up to which it is left out, unless many add up
-NOTHING = np.float32(1e-6)
+BLOCKS_PER_CHUNK = 8  # blocks looked at together
+FAINT_DEPTH = np.float32(1 / 1024)  # optical depth of a voxel up to which it is left out, unless many add up
+ZERO_DEPTH = np.float32(1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,36 +43,36 @@ def find_occupied_voxels(
     threshold: opacity that must add up along some row of a block's 30 voxels for the block, or for its faint voxels, to be kept.
     A threshold on each voxel would depend on their size: a hundred voxels just under 0.005 are 39% opaque (hard case 52).
     """
-    candidates = np.argwhere(may_hold(field, voxel_grid))
+    candidates = np.argwhere(candidate_blocks(field, voxel_grid))
 
     def look(slab: int) -> Arrays:
-        places = candidates[slab * SLAB : (slab + 1) * SLAB]
-        return judge(depth_at(field, voxel_grid, places), -np.log1p(-threshold))
+        places = candidates[slab * BLOCKS_PER_CHUNK : (slab + 1) * BLOCKS_PER_CHUNK]
+        return cull_faint(block_optical_depth(field, voxel_grid, places), -np.log1p(-threshold))
 
     def fits(slab: int, arrays: Arrays) -> bool:
-        size = len(candidates[slab * SLAB : (slab + 1) * SLAB])
+        size = len(candidates[slab * BLOCKS_PER_CHUNK : (slab + 1) * BLOCKS_PER_CHUNK])
         full = int(arrays["full"].sum()) if "full" in arrays and arrays["full"].dtype == bool else 0
         side, half = DATA_VOXELS, DATA_VOXELS // 2
         masks = {"bits": ((full, side, side), np.uint32), "coarse": ((full, half, half, half), np.uint8)}
-        return are(arrays, {"full": ((size,), np.bool_), "lost": ((size, 3), np.floating), **masks})
+        return arrays_match(arrays, {"full": ((size,), np.bool_), "lost": ((size, 3), np.floating), **masks})
 
-    found = dict(each("occupancy", -(-len(candidates) // SLAB), look, kept, tell, fits))
-    full = _joined(found, "full", np.zeros(0, bool))
+    found = dict(run_parts("occupancy", -(-len(candidates) // BLOCKS_PER_CHUNK), look, kept, tell, fits))
+    full = _concatenate(found, "full", np.zeros(0, bool))
     mask = np.zeros(voxel_grid.blocks, bool)
     mask[tuple(candidates[full].T)] = True
     lost = np.zeros((*voxel_grid.blocks, 3), np.float32)
-    lost[tuple(candidates.T)] = _joined(found, "lost", np.zeros((0, 3), np.float32))
+    lost[tuple(candidates.T)] = _concatenate(found, "lost", np.zeros((0, 3), np.float32))
     along = max(float(lost[..., axis].sum(axis=axis).max(initial=0)) for axis in range(3))
-    bits = _joined(found, "bits", np.zeros((0, DATA_VOXELS, DATA_VOXELS), np.uint32))
-    coarse = _joined(found, "coarse", np.zeros((0, *(DATA_VOXELS // 2,) * 3), np.uint8))
-    return OccupiedVoxels(number(mask), bits, coarse, -float(np.expm1(-along)))
+    bits = _concatenate(found, "bits", np.zeros((0, DATA_VOXELS, DATA_VOXELS), np.uint32))
+    coarse = _concatenate(found, "coarse", np.zeros((0, *(DATA_VOXELS // 2,) * 3), np.uint8))
+    return OccupiedVoxels(number_blocks(mask), bits, coarse, -float(np.expm1(-along)))
 
 
-def _joined(found: dict[int, Arrays], name: str, empty: NDArray[Any]) -> NDArray[Any]:
+def _concatenate(found: dict[int, Arrays], name: str, empty: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([empty, *(found[slab][name] for slab in sorted(found))])
 
 
-def may_hold(field: Field, voxel_grid: VoxelGrid) -> NDArray[Any]:
+def candidate_blocks(field: Field, voxel_grid: VoxelGrid) -> NDArray[Any]:
     """bool [bx, by, bz]: blocks that meet an occupied cell of the field's own grid, or all where it has none."""
     if field.occupancy is None:
         return np.ones(voxel_grid.blocks, bool)
@@ -83,15 +83,15 @@ def may_hold(field: Field, voxel_grid: VoxelGrid) -> NDArray[Any]:
     middle = (centres - voxel_grid.grid_to_world[:3, 3]) @ rotation / voxel
     half = np.abs(rotation).sum(axis=0) / (cells * field.domain.scale * voxel) + 1e-3
     first, last = (np.floor((middle + way * half) / DATA_VOXELS).astype(np.int64) for way in (-1, 1))
-    return covered(first, last, voxel_grid.blocks)
+    return blocks_in_ranges(first, last, voxel_grid.blocks)
 
 
-def depth_at(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any]) -> NDArray[Any]:
+def block_optical_depth(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any]) -> NDArray[Any]:
     """Optical depth float32 [B, 30, 30, 30] of one voxel's length at the voxels' centres of blocks at places [B, 3]."""
     depth = np.zeros((len(places), DATA_VOXELS**3), np.float32)
     held, points = [], []
     for place in places:  # a block's points fit the caches
-        centres = voxel_grid.centres(place[None])
+        centres = voxel_grid.block_centres(place[None])
         held.append(np.flatnonzero(field.holds(field.domain.from_world(centres))))
         points.append(centres[held[-1]])
     together = np.concatenate(points)
@@ -100,30 +100,30 @@ def depth_at(field: Field, voxel_grid: VoxelGrid, places: NDArray[Any]) -> NDArr
     for row, end in enumerate(ends):
         depth[row, held[row]] = found[end - len(held[row]) : end]
     blocks = depth.reshape(-1, *(DATA_VOXELS,) * 3)
-    voxel_grid.clear_outside(blocks, places)
+    voxel_grid.zero_outside(blocks, places)
     return blocks
 
 
-def judge(depth: NDArray[Any], least: float) -> Arrays:
+def cull_faint(depth: NDArray[Any], least: float) -> Arrays:
     """What is kept of blocks [B, 30, 30, 30] by optical depth, where `least` must add up along a row of one.
 
     "full" bool [B]: which are; of those "bits" and "coarse" (see OccupiedVoxels). "lost" [B, 3]: depth left out of all of them, at most,
     along each axis.
     """
-    thick = depth > FAINT
-    whole, faint = longest(depth), longest(np.where(thick, 0, depth))
+    thick = depth > FAINT_DEPTH
+    whole, faint = max_row_depth(depth), max_row_depth(np.where(thick, 0, depth))
     full, fog = whole.max(axis=-1) >= least, faint.max(axis=-1) >= least
-    mask = thick | (fog[:, None, None, None] & (depth > NOTHING))
+    mask = thick | (fog[:, None, None, None] & (depth > ZERO_DEPTH))
     lost = np.where(full[:, None], np.where(fog[:, None], 0, faint), whole)
-    return {"full": full, "lost": lost, "bits": pack(mask[full]), "coarse": halve(np.where(mask, depth, 0)[full])}
+    return {"full": full, "lost": lost, "bits": pack_mask(mask[full]), "coarse": coarse_opacity(np.where(mask, depth, 0)[full])}
 
 
-def longest(depth: NDArray[Any]) -> NDArray[Any]:
+def max_row_depth(depth: NDArray[Any]) -> NDArray[Any]:
     """The largest sum along a row of voxels in each direction, [B, 3], of blocks [B, 30, 30, 30]."""
     return np.stack([depth.sum(axis=axis).max(axis=(1, 2)) for axis in (1, 2, 3)], axis=-1)
 
 
-def halve(depth: NDArray[Any]) -> NDArray[Any]:
+def coarse_opacity(depth: NDArray[Any]) -> NDArray[Any]:
     """Optical depth [B, 30, 30, 30] of a voxel's length to `OccupiedVoxels.coarse`: never more than light would be stopped on average."""
     through = np.exp(-depth)
     for axis in (1, 2, 3):

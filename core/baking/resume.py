@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
+from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,8 @@ from ..io.guard import read_arrays, reading
 Arrays = dict[str, NDArray[Any]]
 THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
 MAX_BYTES = 2**33
-SAVE_EVERY = 5.0  # seconds of work that a kill may cost
-LOOK_EVERY = 0.2  # seconds between two looks whether to stop
+SAVE_SECONDS = 5.0  # seconds of work that a kill may cost
+POLL_SECONDS = 0.2  # seconds between two looks whether to stop
 
 
 class ResumeCache:
@@ -70,7 +70,7 @@ class ResumeCache:
     @property
     def due(self) -> bool:
         """Whether it is time to write."""
-        return self.folder is not None and time.monotonic() - self.saved > SAVE_EVERY
+        return self.folder is not None and time.monotonic() - self.saved > SAVE_SECONDS
 
     def flush(self) -> None:
         """Write what is not on the disk yet. Raises SnergError when it cannot."""
@@ -82,14 +82,14 @@ class ResumeCache:
         self.new, self.saved = {}, time.monotonic()
 
 
-def are(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
+def arrays_match(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
     """Whether arrays have just these names, shapes and kinds of values, as what is kept of a part must."""
     return arrays.keys() == wanted.keys() and all(
         arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in wanted.items()
     )
 
 
-def each(
+def run_parts(
     stage: str,
     count: int,
     work: Callable[[int], Arrays],
@@ -130,8 +130,8 @@ def each(
 def _wait(future: Future[Arrays], look: Callable[[], None]) -> Arrays:
     while True:
         try:
-            return future.result(LOOK_EVERY)
-        except NotYet:
+            return future.result(POLL_SECONDS)
+        except FutureTimeout:
             if future.done():
                 raise  # the work's own
             look()

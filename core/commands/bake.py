@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..artifact import Result
-from ..baking.bake import BakeSettings, check_lengths
+from ..baking.bake import BakeSettings, check_voxel_size
 from ..data.dataset import Dataset
 from ..data.load import read_dataset
 from ..errors import SnergError
@@ -63,7 +63,7 @@ def bake_scene(
 
 
 def check_settings(settings: BakeSettings, field: Field) -> None:
-    check_lengths(settings, field)
+    check_voxel_size(settings, field)
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
     if not settings.visibility and not field.cameras:

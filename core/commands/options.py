@@ -6,7 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..baking.bake import AUTO, BakeSettings
+from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings
 from ..data.dataset import DatasetOptions
 from ..errors import SnergError
 from ..export.codecs import LOSSLESS, SUFFIXES, CodecSettings
@@ -53,8 +53,8 @@ def fraction(text: str) -> float:
 
 
 def samples(text: str) -> int:
-    """Samples a voxel: an integer of 0 or more, or 'auto', which is AUTO. Raises argparse.ArgumentTypeError or ValueError otherwise."""
-    return AUTO if text == "auto" else natural(text)
+    """Samples a voxel: an integer of 0 or more, or 'auto', which is AUTO_SUPERSAMPLING. Raises argparse.ArgumentTypeError or ValueError otherwise."""
+    return AUTO_SUPERSAMPLING if text == "auto" else natural(text)
 
 
 def add_dataset_options(parser: argparse.ArgumentParser, defaults: DatasetOptions | None) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..baking.bake import AUTO, BakeSettings, check_lengths
-from ..baking.memory import blocks_met
-from ..baking.occupied_voxels import may_hold
-from ..baking.supersampling import FINER, LENGTH, MOST, RAYS
+from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings, check_voxel_size
+from ..baking.memory import count_blocks
+from ..baking.occupied_voxels import candidate_blocks
+from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
 from ..geometry.box import Box
 from ..nerf.field import Field
@@ -86,7 +86,7 @@ def estimate(
     Raises SnergError for voxels so small that there would be too many, and for their size in device coordinates.
     """
     rates, field = survey.rates, survey.field
-    check_lengths(settings, field)
+    check_voxel_size(settings, field)
     voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
     inside = box.contains(survey.points)
     volume = survey.share / voxel_grid.voxel_size**3
@@ -94,7 +94,7 @@ def estimate(
     if not (settings.visibility and field.cameras):
         kept = held
     cubes = survey.filled[0][box.contains(survey.filled[0])]
-    blocks = blocks_met((cubes, survey.filled[1]), voxel_grid) if len(cubes) else 0
+    blocks = count_blocks((cubes, survey.filled[1]), voxel_grid) if len(cubes) else 0
     channels = 8 if settings.network and field.network is not None else 4
     cells = blocks * CELL_VOXELS**3 * channels * (1 if settings.quantise else 4)
     finer = survey.pilot / voxel_grid.voxel_size
@@ -134,10 +134,14 @@ def _seconds(
     twice the chosen one. prefilter: kept voxels, and samples of them, times BESIDE.
     """
     rates = survey.rates
-    tried = RAYS * LENGTH * (FINER + 8 * (min(4 * samples, 2 * MOST) - 1)) if settings.samples == AUTO else 0
+    tried = (
+        TEST_RAYS * TEST_RAY_VOXELS * (REFERENCE_SAMPLES_PER_VOXEL + 8 * (min(4 * samples, 2 * MAX_SUPERSAMPLING) - 1))
+        if settings.samples == AUTO_SUPERSAMPLING
+        else 0
+    )
     return {
         "start": rates.start,
-        "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, voxel_grid).sum()) * DATA_VOXELS**3 + rates.query * looked,
+        "occupancy": BEGUN + rates.test * int(candidate_blocks(survey.coarse, voxel_grid).sum()) * DATA_VOXELS**3 + rates.query * looked,
         "visibility": _looking(survey, voxel_grid) if settings.visibility else 0.0,
         "samples": rates.fill * tried,
         "prefilter": BESIDE * kept * (rates.keep + samples * rates.fill),

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..baking.bake import BakeSettings
-from ..baking.supersampling import GAIN
+from ..baking.supersampling import MIN_GAIN
 from ..data.dataset import Dataset
 from ..export.codecs import CodecSettings
 from ..geometry.camera import Camera
@@ -219,7 +219,7 @@ def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:
     gain = "The bake doubles them as long as short rays through its voxels come nearer to the field by more than the threshold."
     fit = unknown(REFINE, "Refining keeps the network that is better on a tenth of its pixels.", 0.0)
     diffuse = Decision(REFINE, False, "The field is diffuse: there is no network to refine.")
-    return [clear, cull, unknown(SAMPLES, gain, GAIN), fit if view_dependent else diffuse, unknown(CODEC, _CODEC)]
+    return [clear, cull, unknown(SAMPLES, gain, MIN_GAIN), fit if view_dependent else diffuse, unknown(CODEC, _CODEC)]
 
 
 _CODEC = "Nothing is lost unless --codec says so; 'snerg eval' of a scene stored each way tells what it costs."
@@ -268,19 +268,19 @@ def _cull_of(snerg: Scene) -> Effect:
 def _samples_of(snerg: Scene) -> Effect:
     bake = snerg.about.get("bake", {})
     if "samples" not in bake:
-        return Effect(unknown(SAMPLES, "The scene does not say how it was baked.", GAIN), *WORTH[SAMPLES])
+        return Effect(unknown(SAMPLES, "The scene does not say how it was baked.", MIN_GAIN), *WORTH[SAMPLES])
     count, measured = bake["samples"], bake.get("samples_measured", [])
     seconds = bake["seconds"]["prefilter"]
     rest = seconds * (1 - 1 / count)
     worth = f"{seconds:.1f} seconds of the bake.", f"About {rest:.1f} of them, with 1 sample in place of {count}."
     if len(measured) < 2:
         told = "The bake was told to." if not measured else "There was nothing to measure."
-        return Effect(Decision(SAMPLES, str(count), told, None, GAIN, overridden=not measured), *worth)
+        return Effect(Decision(SAMPLES, str(count), told, None, MIN_GAIN, overridden=not measured), *worth)
     errors = ", ".join(f"{m['samples']}: {m['error']:.4f}" for m in measured)
     last = 1 - measured[-1]["error"] / max(measured[-2]["error"], 1e-12)
-    needed = f"doubling must take away {100 * GAIN:g} %, the last takes {100 * last:.1f} %"
+    needed = f"doubling must take away {100 * MIN_GAIN:g} %, the last takes {100 * last:.1f} %"
     evidence = f"Errors of short rays by samples a voxel: {errors}; {needed}."
-    return Effect(Decision(SAMPLES, str(count), evidence, last, GAIN), *worth)
+    return Effect(Decision(SAMPLES, str(count), evidence, last, MIN_GAIN), *worth)
 
 
 def _refine_of(snerg: Scene) -> Effect:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from ..baking.bake import BakeSettings, bake, check_field
 from ..baking.jitter import voxel_uniform
-from ..baking.occupied_voxels import FAINT, SLAB, depth_at, judge, may_hold
+from ..baking.occupied_voxels import BLOCKS_PER_CHUNK, FAINT_DEPTH, block_optical_depth, candidate_blocks, cull_faint
 from ..baking.resume import THREADS
-from ..baking.supersampling import average, worth
-from ..baking.visibility import marching_camera
+from ..baking.supersampling import average_in_voxels, measure_supersampling
+from ..baking.visibility import visibility_camera
 from ..errors import SnergError
 from ..export.atlas import atlas_blocks, slices
 from ..export.codecs import pictures_of
@@ -30,8 +30,8 @@ from ..nerf.field import CHUNK, Field
 from ..nerf.sampling import CELLS, Occupancy, cell_index, clip_rays
 from ..nerf.volume_rendering import optical_depth
 from ..rendering.acceleration import acceleration_of
-from ..rendering.render import TILE, MarchSettings, march_rays, render_scene, tiled
-from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, places_of
+from ..rendering.render import TILE, MarchSettings, march_rays, render_scene, tiled_pixels
+from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates
 from ..scene.quantize import quantize
 from ..scene.scene import Scene
 from ..scene.voxel_grid import VoxelGrid
@@ -160,7 +160,7 @@ def bordering(field: Field, points: NDArray[Any], voxel: float) -> tuple[NDArray
     around = np.array(list(product((-1, 0, 1), repeat=3))) * voxel
     parts = np.array_split((points[:, None] + around).reshape(-1, 3), 2 * THREADS)
     found, seconds = together(lambda some: field.query(some)[0], parts)
-    thick = optical_depth(np, np.concatenate(found), np.float32(voxel)) > FAINT
+    thick = optical_depth(np, np.concatenate(found), np.float32(voxel)) > FAINT_DEPTH
     return thick.reshape(len(points), -1).any(axis=-1), seconds / (len(points) * len(around))
 
 
@@ -236,7 +236,7 @@ def fitting(field: Field, box: Box, points: NDArray[Any], voxel: float, rng: np.
     voxel_grid = VoxelGrid.inside(box, voxel)
     some = points[rng.choice(len(points), min(len(points), SAMPLE_RAYS), replace=False)]
     start = np.floor((some - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel).astype(np.int64)
-    return worth(field, voxel_grid, start, rng, 0)[0]
+    return measure_supersampling(field, voxel_grid, start, rng, 0)[0]
 
 
 def small_resolution(field: Field) -> int:
@@ -256,10 +256,13 @@ def timed(field: Field, voxel_grid: VoxelGrid, points: NDArray[Any], start: floa
 
     small, coarser: bakes of the field, the second half as fine.
     """
-    candidates = np.argwhere(may_hold(field, voxel_grid))
+    candidates = np.argwhere(candidate_blocks(field, voxel_grid))
     places = candidates[np.linspace(0, len(candidates) - 1, min(len(candidates), BLOCKS)).astype(int)]
-    _, tested = together(lambda some: judge(depth_at(field, voxel_grid, some), 0.005), np.array_split(places, max(1, len(places) // SLAB)))
-    held = sum(int(field.holds(field.domain.from_world(voxel_grid.centres(place[None]))).sum()) for place in places)
+    _, tested = together(
+        lambda some: cull_faint(block_optical_depth(field, voxel_grid, some), 0.005),
+        np.array_split(places, max(1, len(places) // BLOCKS_PER_CHUNK)),
+    )
+    held = sum(int(field.holds(field.domain.from_world(voxel_grid.block_centres(place[None]))).sum()) for place in places)
     test = max(tested - query * held, 0.2 * tested) / max(len(places) * DATA_VOXELS**3, 1)
     corner = np.floor((points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size).astype(
         np.int64
@@ -267,7 +270,7 @@ def timed(field: Field, voxel_grid: VoxelGrid, points: NDArray[Any], start: floa
     near = np.array(list(product(range(4), repeat=3)))  # so many that no chunk of points is mostly padding
     voxels = (np.maximum(corner[: 2 * THREADS * CHUNK // len(near)], 0)[:, None] + near).reshape(-1, 3)
     parts = np.array_split(voxels, 2 * THREADS)
-    values, filled = together(lambda some: average(field, voxel_grid, some, 2, 0), parts)
+    values, filled = together(lambda some: average_in_voxels(field, voxel_grid, some, 2, 0), parts)
     channels = 4 if field.network is None else 8
     mixed = [np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1) for colour, alpha in values]
     pairs = list(zip(parts, mixed, strict=True))
@@ -318,7 +321,7 @@ def _count(camera: Camera) -> int:
 
 
 def _rays(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
-    return camera.rays(tiled(camera.width, camera.height))
+    return camera.rays(tiled_pixels(camera.width, camera.height))
 
 
 def kept_voxels(told: dict[str, Any]) -> int:
@@ -363,7 +366,7 @@ def rays_of(field: Field, voxel_grid: VoxelGrid) -> float:
     half, some = voxel_grid.halved(), field.cameras[:: max(1, len(field.cameras) // EYES)]
     nothing = np.full(half.blocks, -1, np.int32), np.zeros((0, *(CELL_VOXELS,) * 3, 4), np.uint8)
     scene = Scene(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
-    return sum(_count(marching_camera(camera, scene)) for camera in some) * len(field.cameras) / max(len(some), 1)
+    return sum(_count(visibility_camera(camera, scene)) for camera in some) * len(field.cameras) / max(len(some), 1)
 
 
 def outside(box: Box) -> Camera:
@@ -377,7 +380,7 @@ def outside(box: Box) -> Camera:
 def _filled(snerg: Scene) -> tuple[NDArray[Any], float]:
     """Centres [N, 3] and the size of cubes, not too many, that hold something."""
     row, *local = np.nonzero(snerg.cells[:, 1:-1, 1:-1, 1:-1, -1])
-    voxel, size = places_of(snerg.indirection)[row] * DATA_VOXELS + np.stack(local, axis=-1), 1
+    voxel, size = block_coordinates(snerg.indirection)[row] * DATA_VOXELS + np.stack(local, axis=-1), 1
     while len(voxel) > CUBES:
         voxel, size = np.unique(voxel // 2, axis=0), 2 * size
     local_centres = (voxel + 0.5) * (size * snerg.voxel_size)

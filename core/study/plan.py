@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..baking.bake import AUTO, VERSION, BakeSettings
+from ..baking.bake import AUTO_SUPERSAMPLING, BAKE_VERSION, BakeSettings
 from ..errors import SnergError
 from ..export.codecs import CodecSettings
 from ..export.scene_files import PNG
@@ -62,7 +62,7 @@ class Config:
         march = {"tolerance": self.march.tolerance, "stop_transmittance": self.march.stop_transmittance}
         march |= {"per_sample_network": self.march.per_sample_network}
         rest = {"refine": self.refine, "codec": self.codec.to_json(), "field": self.field, "page": self.page}
-        return {"bake": asdict(self.bake), "version": VERSION, "march": march, **rest}
+        return {"bake": asdict(self.bake), "version": BAKE_VERSION, "march": march, **rest}
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Config:
@@ -140,7 +140,7 @@ def _tried(
         yield replace(with_bake(usual, network=False), refine=False), NETWORK, "none"
     yield usual, BITS, "8"
     yield with_bake(usual, quantise=False), BITS, "32"
-    yield usual, SAMPLES, "auto" if baked.samples == AUTO else str(baked.samples)
+    yield usual, SAMPLES, "auto" if baked.samples == AUTO_SUPERSAMPLING else str(baked.samples)
     for count in sorted({1, 2, 4, 8} - {baked.samples}):
         yield with_bake(usual, samples=count), SAMPLES, str(count)
     for alpha in sorted({baked.alpha_threshold, 0.001, 0.02, 0.1}):

@@ -34,7 +34,7 @@ import sys
 from snerg.core import cli, terminal
 from snerg.core.training import trainer as train
 from snerg.core.baking import resume as kept
-train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
+train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_SECONDS = -1.0, 1e9, -1.0
 class Keeper(train.Keeper):
     def __init__(self, trainer, folder, save_every):
         super().__init__(trainer, folder, 0.0)

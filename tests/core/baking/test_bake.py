@@ -7,7 +7,7 @@ import pytest
 
 from scenes import looking, make_dataset, random_network
 from snerg.core.baking.bake import BakeSettings, bake
-from snerg.core.baking.fine_tune import RefineSettings, gather, refine
+from snerg.core.baking.fine_tune import RefineSettings, march_training_views, refine
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.scene_files import write_scene
@@ -55,7 +55,7 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
 def test_lattice_covers_the_box_and_a_voxel_more():
     voxel_grid = VoxelGrid.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
     assert voxel_grid.shape == (66, 34, 18)
-    assert np.allclose(voxel_grid.points(np.array([[1, 1, 1]]) - 0.5), 0)
+    assert np.allclose(voxel_grid.voxel_centres(np.array([[1, 1, 1]]) - 0.5), 0)
 
 
 @pytest.mark.hard_case(6, 39)
@@ -65,8 +65,8 @@ def test_a_baked_ball_is_the_ball(angles):
 
     pose = np.eye(4)
     pose[:3, :3] = rotation(angles)
-    snerg = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=8))
-    frame = render_scene(snerg, camera_at((0, -3.5, 0.5)))
+    scene = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=8))
+    frame = render_scene(scene, camera_at((0, -3.5, 0.5)))
     origins, directions = camera_at((0, -3.5, 0.5)).rays()
     closest = np.linalg.norm(np.cross(origins, directions), axis=-1).reshape(64, 64)
     assert (frame.alpha[closest < 0.55] > 0.99).all() and (frame.alpha[closest > 0.66] < 0.01).all()
@@ -76,8 +76,8 @@ def test_a_baked_ball_is_the_ball(angles):
 
 @pytest.mark.hard_case(18, 52)
 def test_fog_keeps_its_optical_depth():
-    snerg = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
-    frame = render_scene(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
+    scene = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
+    frame = render_scene(scene, camera_at((0, -30, 0), size=9).resized(9, 9))
     assert frame.alpha[4, 4] == pytest.approx(-np.expm1(-0.5 * 1.2), abs=0.02)
 
 
@@ -133,7 +133,7 @@ def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
     voxel_grid = VoxelGrid.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
     domain = Domain.around(centre - 2, centre + 2)
     voxels = np.random.default_rng(0).integers(0, voxel_grid.shape, (1000, 3))
-    found = domain.from_world(voxel_grid.points(voxels))
+    found = domain.from_world(voxel_grid.voxel_centres(voxels))
     assert found.dtype == np.float32
     exact = ((voxels + 0.5 - np.array(voxel_grid.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
     assert np.abs(found - exact).max() < 1e-3 * (2 / 4096) / 2
@@ -147,9 +147,9 @@ def test_a_sheet_of_one_voxel_is_found_wherever_it_lies():
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
     for at in np.random.default_rng(0).uniform(-0.9, 0.9, 6):
-        snerg = bake(Sheet(radius=at), BOX, (), BakeSettings(60, samples=8))
+        scene = bake(Sheet(radius=at), BOX, (), BakeSettings(60, samples=8))
         eye = (-4, 0, 0) if at < 0 else (4, 0, 0)
-        frame = render_scene(snerg, camera_at(eye, 16))
+        frame = render_scene(scene, camera_at(eye, 16))
         assert frame.alpha[4:12, 4:12].min() > 0.5
 
 
@@ -165,15 +165,15 @@ def test_what_no_camera_sees_is_left_out():
 
 @pytest.mark.hard_case(48)
 def test_the_jitter_moves_nothing_and_is_seeded():
-    snerg = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, samples=16))
+    scene = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, samples=16))
     again = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, samples=16))
-    assert np.array_equal(snerg.cells, again.cells)
-    own = snerg.cells[:, 1:-1, 1:-1, 1:-1, -1].astype(np.float64)
-    place = np.argwhere(snerg.indirection >= 0)
+    assert np.array_equal(scene.cells, again.cells)
+    own = scene.cells[:, 1:-1, 1:-1, 1:-1, -1].astype(np.float64)
+    place = np.argwhere(scene.indirection >= 0)
     index = np.indices((30, 30, 30)).reshape(3, -1).T
     voxels = (place[:, None] * 30 + index + 0.5).reshape(-1, 3)
     centroid = (voxels * own.reshape(-1, 1)).sum(axis=0) / own.sum()
-    assert np.abs(centroid - np.array(snerg.shape) / 2).max() < 0.01
+    assert np.abs(centroid - np.array(scene.shape) / 2).max() < 0.01
 
 
 @pytest.mark.hard_case(49)
@@ -189,17 +189,17 @@ def test_half_a_voxel_of_solid_stops_half_the_light(optical, samples):
             density = np.where(full, optical / voxel, 0).astype(np.float32)
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
-    snerg = bake(Checkerboard(), BOX, (), BakeSettings(20, samples=samples))
-    opacity = snerg.cells[0, 3:-15, 3:-15, 3:-15, -1] / 255
+    scene = bake(Checkerboard(), BOX, (), BakeSettings(20, samples=samples))
+    opacity = scene.cells[0, 3:-15, 3:-15, 3:-15, -1] / 255
     mean_opacity, by_mean_density = (1 - np.exp(-optical)) / 2, 1 - np.exp(-optical / 2)
     assert opacity.mean() == pytest.approx(mean_opacity, abs=0.01) and by_mean_density > mean_opacity + 0.25
 
 
 @pytest.mark.hard_case(57)
 def test_an_empty_box_is_a_valid_scene_and_says_so():
-    snerg = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
-    assert len(snerg.cells) == 0 and "holds nothing" in snerg.about["bake"]["warning"]
-    assert not render_scene(snerg, camera_at((3, 0, 0), 8)).alpha.any()
+    scene = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
+    assert len(scene.cells) == 0 and "holds nothing" in scene.about["bake"]["warning"]
+    assert not render_scene(scene, camera_at((3, 0, 0), 8)).alpha.any()
 
 
 @pytest.mark.hard_case(36)
@@ -209,8 +209,8 @@ def test_a_floor_on_the_face_of_the_box_survives():
             density = np.where(points[:, 2] < -1 + 2 / 64, 400.0, 0).astype(np.float32)
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
-    snerg = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, samples=2))
-    assert render_scene(snerg, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
+    scene = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, samples=2))
+    assert render_scene(scene, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
 
 
 def test_cancelled_between_batches():
@@ -259,11 +259,11 @@ def test_a_box_without_volume():
 def test_refining_gains_and_never_loses(tmp_path):
     dataset = read_dataset(make_dataset(tmp_path / "data"))
     ball = Ball(radius=0.9, network=random_network(3))
-    snerg = bake(ball, BOX, dataset.cameras, BakeSettings(40, samples=2))
-    better, report = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    scene = bake(ball, BOX, dataset.cameras, BakeSettings(40, samples=2))
+    better, report = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert report["psnr_after"] > report["psnr_before"] + 0.5
-    assert better.network is not None and not np.array_equal(better.network.weights_2, snerg.network.weights_2)
-    again, _ = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    assert better.network is not None and not np.array_equal(better.network.weights_2, scene.network.weights_2)
+    again, _ = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert np.array_equal(again.network.weights_0, better.network.weights_0)
 
 
@@ -271,12 +271,12 @@ def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_vi
     dataset = read_dataset(make_dataset(tmp_path / "data"))
     network = random_network(3)
     network = network._replace(weights_0=np.asarray(network.weights_0) * (np.arange(34) % 2 == 0)[:, None].astype(np.float32))
-    snerg = bake(Ball(radius=0.9, network=network), BOX, dataset.cameras, BakeSettings(40, samples=2))
-    better, report = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    scene = bake(Ball(radius=0.9, network=network), BOX, dataset.cameras, BakeSettings(40, samples=2))
+    better, report = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert report["gain_db"] > 0.5 and better.network is not None
     kept = (better.network.weights_0 != 0).any(axis=1)
     assert np.array_equal(kept, np.arange(34) % 2 == 0)
-    gathered = gather(snerg, dataset, RefineSettings(), lambda f, w: None)
+    gathered = march_training_views(scene, dataset, RefineSettings(), lambda f, w: None)
     rays = dataset.cameras[5].rays()[1].astype(np.float32)  # of twelve views the one that is judged by
     own = (np.abs(gathered.directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
     assert own[: gathered.held].all() and not own[gathered.held :].any() and gathered.held > 100
@@ -296,8 +296,8 @@ def test_what_refining_aims_at():
         def mask(self, index):
             return self.hidden
 
-    snerg = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
-    frame = render_scene(snerg, camera_at((0, -3.5, 0.5), 16))
+    scene = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
+    frame = render_scene(scene, camera_at((0, -3.5, 0.5), 16))
     mask = np.zeros((16, 16), bool)
     mask[4:9, 5:11] = True
     alpha = frame.alpha[..., None]
@@ -306,17 +306,17 @@ def test_what_refining_aims_at():
         opaque = np.rint(frame.over(background) * 255).astype(np.uint8)
         cut_out = np.rint(np.concatenate([np.clip(frame.colour / np.maximum(alpha, 1e-6), 0, 1), alpha], axis=-1) * 255).astype(np.uint8)
         for image in (opaque, cut_out):
-            whole = gather(snerg, Views(None, image), settings, lambda f, w: None)
-            part = gather(snerg, Views(mask, image), settings, lambda f, w: None)
+            whole = march_training_views(scene, Views(None, image), settings, lambda f, w: None)
+            part = march_training_views(scene, Views(mask, image), settings, lambda f, w: None)
             assert len(part.colour) == 30 < len(whole.colour)
-            final = whole.colour + view_residual(np, snerg.network, whole.colour, whole.features, whole.directions)
+            final = whole.colour + view_residual(np, scene.network, whole.colour, whole.features, whole.directions)
             assert np.abs(np.clip(final, 0, 1) - np.clip(whole.wanted, 0, 1)).max() < 0.02
 
 
 def test_a_diffuse_scene_is_not_refined(tmp_path):
-    snerg = bake(Ball(), BOX, (), BakeSettings(32, samples=1))
-    same, report = refine(snerg, read_dataset(make_dataset(tmp_path / "data")))
-    assert same is snerg and "diffuse" in report["skipped"] and snerg.cells.shape[-1] == 4
+    scene = bake(Ball(), BOX, (), BakeSettings(32, samples=1))
+    same, report = refine(scene, read_dataset(make_dataset(tmp_path / "data")))
+    assert same is scene and "diffuse" in report["skipped"] and scene.cells.shape[-1] == 4
 
 
 def test_a_voxel_size_takes_the_place_of_the_resolution():
@@ -333,7 +333,7 @@ def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
 
     def fits(resolution: int) -> None:
         voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
-        memory.check_fits(Ball(), BOX, voxel_grid, 8)
+        memory.check_memory(Ball(), BOX, voxel_grid, 8)
 
     monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
     with pytest.raises(SnergError, match=r"2000 voxels.*GB.*choose at most (\d+)") as told:
@@ -348,12 +348,12 @@ def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
 
 
 def test_the_estimate_of_blocks_is_near_what_is_baked():
-    from snerg.core.baking.memory import blocks_met, full_points
+    from snerg.core.baking.memory import count_blocks, occupied_points
 
     for resolution in (90, 200):
         voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
         found, baked = (
-            blocks_met(full_points(Ball(), BOX), voxel_grid),
+            count_blocks(occupied_points(Ball(), BOX), voxel_grid),
             len(bake(Ball(), BOX, (), BakeSettings(resolution, samples=1)).cells),
         )
         assert 0.9 * baked <= found <= 1.4 * baked
@@ -377,12 +377,12 @@ def test_what_adds_up_is_kept_and_what_does_not_is_told():
 
     camera = camera_at((0, -3, 0), 8).resized(8, 8)
     for opacity in (0.0045, 0.0009, 0.00005):  # of a voxel
-        snerg = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, samples=1))
+        scene = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, samples=1))
         closed = -np.expm1(-opacity * 100)
-        got = render_scene(snerg, camera).alpha[4, 4]
-        assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else snerg.about["bake"]["opacity_lost_at_most"])
+        got = render_scene(scene, camera).alpha[4, 4]
+        assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else scene.about["bake"]["opacity_lost_at_most"])
         if opacity < 0.0005:
-            assert len(snerg.cells) == 0 and closed <= snerg.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
+            assert len(scene.cells) == 0 and closed <= scene.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
 
 
 def test_more_samples_are_taken_where_they_help():
@@ -418,10 +418,10 @@ def test_files_memory_and_time_follow_the_light(tmp_path):
     assert hard["passes"] < 0.1 < 0.3 < clear["passes"] and hard["rays"] == pytest.approx(clear["rays"], rel=0.15)
     assert hard["voxels"] < 16 and clear["voxels"] > 40
     origins, directions = cameras[0].rays()
-    samples = [march_rays(snerg, origins, directions).samples for snerg in (solid, fog)]
+    samples = [march_rays(scene, origins, directions).samples for scene in (solid, fog)]
     assert 4 * samples[0] < samples[1]
-    for name, snerg in (("solid", solid), ("fog", fog)):
-        write_scene(snerg, tmp_path / name)
+    for name, scene in (("solid", solid), ("fog", fog)):
+        write_scene(scene, tmp_path / name)
     assert 2 * folder_bytes(tmp_path / "solid") < folder_bytes(tmp_path / "fog") and len(solid.cells) < len(fog.cells)
 
 
@@ -451,7 +451,7 @@ def test_far_from_the_origin_the_bake_is_the_same():
 def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
     """Against points, close together, of every occupied cell; in a box turned and shifted against the cells."""
     from scenes import rotation
-    from snerg.core.baking.occupied_voxels import may_hold
+    from snerg.core.baking.occupied_voxels import candidate_blocks
 
     draw = np.random.default_rng(0)
     occupied = np.zeros((128,) * 3, bool)
@@ -462,7 +462,7 @@ def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
     pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), (0.1, 0.0, -0.1)
     for resolution in (100, 1500):
         voxel_grid = VoxelGrid.inside(Box(pose, np.array([1.0, 1.2, 0.9])), 1.2 / resolution)
-        found = may_hold(ball, voxel_grid)
+        found = candidate_blocks(ball, voxel_grid)
         points = ((np.argwhere(occupied)[:, None] + draw.random((40, 300, 3))) / 64 - 1).reshape(-1, 3)
         voxels = (points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size
         voxels = voxels[((voxels >= 0) & (voxels < voxel_grid.shape)).all(axis=-1)]

@@ -14,7 +14,7 @@ import pytest
 from scenes import looking, random_network
 from snerg.core.baking import resume as kept_module
 from snerg.core.baking.bake import BakeSettings, bake
-from snerg.core.baking.resume import ResumeCache, each
+from snerg.core.baking.resume import ResumeCache, run_parts
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -48,7 +48,7 @@ def asked() -> Asked:
 
 def bake_slowly(folder: str) -> None:
     """What the child does: keep every part at once, and say so by its files."""
-    kept_module.SAVE_EVERY = -1.0
+    kept_module.SAVE_SECONDS = -1.0
     Asked.seconds = 0.03
     bake(asked(), BOX, CAMERAS, SETTINGS, resume=Path(folder))
 
@@ -120,7 +120,7 @@ def test_a_long_part_is_not_waited_for():
 
     began = time.monotonic()
     with pytest.raises(Cancelled):
-        list(each("slow", 1, lambda part: time.sleep(2) or {}, ResumeCache(None, ""), stop))
+        list(run_parts("slow", 1, lambda part: time.sleep(2) or {}, ResumeCache(None, ""), stop))
     assert time.monotonic() - began < 1.5
 
 
