@@ -165,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the zips")
     parser.add_argument("--blender", default="", help="a Blender to build and validate with, instead of the bpy module")
     options = parser.parse_args(arguments)
-    if not (ROOT / "core" / "export" / "viewer" / "dist").is_dir():
+    if not (ROOT / "viewer" / "dist").is_dir():
         print("The web viewer is not built (run `make setup`): this extension will not export web pages.", file=sys.stderr)
     if options.no_wheels:
         print(build(None, "", options.out, options.blender))

@@ -13,10 +13,10 @@ await build({
   outfile: fileURLToPath(new URL("dist/viewer.js", here)),
   bundle: true,
   minify: true,
-  format: "iife", // a classic script: modules do not load from file://, and then the page could not even say why
+  format: "iife", // a classic script: browsers load no modules from file://, where the page must show its message
   target: ["chrome100", "firefox113", "safari16.4"],
   loader: { ".glsl": "text" },
-  legalComments: "none", // the whole notice stands in the banner
+  legalComments: "none", // the banner holds the whole licence of three.js
   charset: "utf8",
   banner: {
     js: `/*! The SNeRG viewer, GPL-3.0-or-later. It contains three.js ${version}:\n\n${licence.trim()}\n*/`,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -51,21 +52,21 @@ def test_png_bytes_arrive_as_they_were_written(tmp_path: Path) -> None:
 def test_layouts_keep_to_the_limit() -> None:
     cases = [(0, 256, 5), (1, 256, 5), (512, 256, 5), (513, 256, 5), (2560, 256, 5), (1000, 2048, 5), (262144, 2048, 5), (7, 64, 7)]
     layouts = node(f"""
-        import {{ layoutOf }} from "./atlas.js";
-        console.log(JSON.stringify({json.dumps(cases)}.map((c) => layoutOf(...c))));
+        import {{ atlasLayout }} from "./atlas_layout.js";
+        console.log(JSON.stringify({json.dumps(cases)}.map((c) => atlasLayout(...c))));
     """)
     for (cells, limit, most), layout in zip(cases, layouts, strict=True):
         x, y, z = layout["blocks"]
         assert max(x, y, z) * 32 <= limit and 1 <= layout["pages"] <= most
-        assert layout["pages"] * layout["each"] >= cells and x * y * z >= layout["each"]
+        assert layout["pages"] * layout["cellsPerPage"] >= cells and x * y * z >= layout["cellsPerPage"]
         assert layout["pages"] * x * y * z <= 1.35 * cells + 8, "little is wasted"
 
 
 @pytest.mark.hard_case(55)
 def test_layouts_that_no_device_holds_are_refused() -> None:
     message = node("""
-        import { layoutOf } from "./atlas.js";
-        try { layoutOf(2561, 256, 5); } catch (problem) { console.log(JSON.stringify(problem.message)); }
+        import { atlasLayout } from "./atlas_layout.js";
+        try { atlasLayout(2561, 256, 5); } catch (problem) { console.log(JSON.stringify(problem.message)); }
     """)
     assert "too large for this device" in message and "2561 blocks" in message
 
@@ -76,9 +77,46 @@ def test_distances() -> None:
     occupied = np.random.default_rng(0).random(shape[::-1]) < 0.03
     occupied[2, 1, 3] = True
     shown = node(f"""
-        import {{ chebyshev }} from "./atlas.js";
-        console.log(JSON.stringify(Array.from(chebyshev({occupied.ravel().astype(int).tolist()}, {list(shape)}))));
+        import {{ chebyshevDistance }} from "./distance.js";
+        console.log(JSON.stringify(Array.from(chebyshevDistance({occupied.ravel().astype(int).tolist()}, {list(shape)}))));
     """)
     points = np.argwhere(occupied)
     expected = np.abs(np.argwhere(np.ones_like(occupied))[:, None] - points).max(axis=-1).min(axis=-1)
     assert (np.array(shown) == expected).all()
+
+
+def test_shader_templates() -> None:
+    """Every placeholder is filled, as often as it occurs, and no value is searched for placeholders."""
+    assert fill("a {{A}} {{B}} {{A}}", {"A": "{{B}}", "B": "2"}) == "a {{B}} 2 {{B}}"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"A": "1"}, "unknown placeholder {{B}}"),
+        ({"A": "1", "B": "2", "C": "3"}, "no placeholder {{C}}"),
+        ({"A": "1", "toString": "2"}, "unknown placeholder {{B}}"),
+    ],
+)
+def test_shader_templates_name_the_wrong_placeholder(values: dict[str, str], message: str) -> None:
+    assert message in fill("{{A}} {{B}}", values)
+
+
+def fill(template: str, values: dict[str, str]) -> str:
+    """What `fillTemplate` returns, or the message of the error that it throws."""
+    return node(f"""
+        import {{ fillTemplate }} from "./template.js";
+        let result;
+        try {{ result = fillTemplate({json.dumps(template)}, {json.dumps(values)}); }} catch (error) {{ result = error.message; }}
+        console.log(JSON.stringify(result));
+    """)
+
+
+def test_the_shader_has_the_placeholders_that_are_filled() -> None:
+    """march.glsl and ndc.glsl and shader.js name the same ones; that each kind of scene compiles is seen in the browser."""
+    source = ROOT / "viewer" / "src"
+    shader = (source / "shader.js").read_text(encoding="utf-8")
+    for name in ("march", "ndc"):
+        named = set(re.findall(r"\{\{(\w+)\}\}", (source / f"{name}.glsl").read_text(encoding="utf-8")))
+        call = shader.split(f"fillTemplate({name}, {{")[1].split("});")[0]
+        assert named and named == set(re.findall(r"^    (\w+):", call, re.MULTILINE))

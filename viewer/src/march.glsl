@@ -1,110 +1,125 @@
-// The march (paper, section 5.2), the same as core/rendering/render.py: one lattice of samples a ray, t_start + 0.5 + k voxels.
-// Skipping only ever moves to a later k, and only past what is zero, so the picture is that of a march without it.
+// Fragment shader that marches one ray a pixel (paper, section 5.2), with the same samples as core/rendering/render.py: at
+// t_entry + 0.5 + k voxels along the ray, k = 0, 1, 2, ... Empty-space skipping only increases k, and only past samples that are
+// zero, so the image equals that of a march without skipping.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
 precision highp isampler3D;
 
-const float STOP = 1.0 / 1024.0; // the transmittance at which a ray ends
-const float EARLY = 1e-3;        // of a step: a jump may end a hair early, never late
+#define VIEW_DEPENDENCE {{VIEW_DEPENDENCE}}
+#define OPACITY_CORRECTION {{OPACITY_CORRECTION}}
+#define FORWARD_FACING {{FORWARD_FACING}}
 
-// Rays are given in voxels along the grid's axes; in a forward-facing scene along its frame's axes, in units of its near plane.
-uniform vec2 focal;          // pixels of this picture (parallel rays: pixels a unit)
-uniform vec2 centre;         // pixels from the top left corner
-uniform float height;        // pixels
-uniform bool parallel;       // an orthographic camera
-uniform vec3 eye;
-uniform mat3 axesFromCamera; // a rotation
-uniform mat3 viewFromCamera; // to the axes in which the network was trained
-uniform float near;          // units from the eye
-uniform vec3 shape;          // voxels
-uniform ivec3 blocks;
+const float DATA_VOXELS = {{DATA_VOXELS}}; // voxels of a macroblock along an axis
+const float CELL_VOXELS = {{CELL_VOXELS}}; // the same with the apron, as stored in the atlas
+const float NETWORK_TRANSMITTANCE = {{NETWORK_TRANSMITTANCE}}; // the network is evaluated where no more than this is left
+const float MIN_TRANSMITTANCE = 1.0 / 1024.0; // a ray ends here: what lies behind changes no 8-bit value by more than a quarter
+const float STEP_EPSILON = 1e-3; // steps by which rounding may misplace an exit; a jump ends early by this much, never late
+
+// Rays are given in "ray space": the grid in voxels; in a forward-facing scene the frame in units of its near plane's distance.
+uniform vec2 focal;               // pixels of this image; of an orthographic camera, pixels a unit
+uniform vec2 principalPoint;      // pixels from the top left corner
+uniform float imageHeight;        // pixels
+uniform bool orthographic;
+uniform vec3 cameraPosition;      // ray space
+uniform mat3 raySpaceFromCamera;  // a rotation
+uniform mat3 networkFromCamera;   // a rotation, to the axes in which the network was trained
+uniform float nearDistance;       // ray space, from the camera
+uniform vec3 gridShape;           // voxels
+uniform ivec3 gridBlocks;         // macroblocks
 uniform vec3 background;
 uniform isampler3D indirection;
 
 out vec4 colour;
 
-// How far along the ray it leaves the box between two corners; `from` lies in it.
-float leaves(vec3 from, vec3 inverse, vec3 low, vec3 high) {
-  vec3 far = (mix(low, high, greaterThan(inverse, vec3(0.0))) - from) * inverse;
+{{ATLAS_LOOKUPS}}
+{{NETWORK}}
+{{NDC}}
+// Distance from `origin`, which lies in the box from `low` to `high`, along the ray to where it leaves the box.
+float exitDistance(vec3 origin, vec3 inverseDirection, vec3 low, vec3 high) {
+  vec3 far = (mix(low, high, greaterThan(inverseDirection, vec3(0.0))) - origin) * inverseDirection;
   return min(far.x, min(far.y, far.z));
 }
 
-int stepAt(float distance) {
-  return int(ceil(min(distance, 1e7) - 0.5 - EARLY));
+// The first sample k at or behind a distance from the ray's entry.
+int firstSampleFrom(float distance) {
+  return int(ceil(min(distance, 1e7) - 0.5 - STEP_EPSILON));
 }
 
 void main() {
-  vec2 pixel = vec2(gl_FragCoord.x, height - gl_FragCoord.y);
-  vec2 plane = vec2(pixel.x - centre.x, centre.y - pixel.y) / focal;
-  vec3 towards = parallel ? vec3(0.0, 0.0, -1.0) : normalize(vec3(plane, -1.0));
-  vec3 origin = parallel ? eye + axesFromCamera * vec3(plane, 0.0) : eye;
-  vec3 direction = axesFromCamera * towards;
-  float begin = near;
-#ifdef NDC
-  toGrid(origin, direction, begin);
+  vec2 pixel = vec2(gl_FragCoord.x, imageHeight - gl_FragCoord.y);
+  vec2 imagePlane = vec2(pixel.x - principalPoint.x, principalPoint.y - pixel.y) / focal;
+  vec3 viewDirection = orthographic ? vec3(0.0, 0.0, -1.0) : normalize(vec3(imagePlane, -1.0)); // camera axes
+  vec3 origin = orthographic ? cameraPosition + raySpaceFromCamera * vec3(imagePlane, 0.0) : cameraPosition;
+  vec3 direction = raySpaceFromCamera * viewDirection;
+  float near = nearDistance;
+#if FORWARD_FACING
+  toGrid(origin, direction, near);
 #endif
-  vec3 inverse = 1.0 / mix(direction, vec3(1e-9), lessThan(abs(direction), vec3(1e-9)));
+  vec3 inverseDirection = 1.0 / mix(direction, vec3(1e-9), lessThan(abs(direction), vec3(1e-9)));
 
-  vec3 low = min(-origin * inverse, (shape - origin) * inverse);
-  vec3 high = max(-origin * inverse, (shape - origin) * inverse);
-  float start = max(max(low.x, max(low.y, low.z)), begin);
-  float stop = min(high.x, min(high.y, high.z));
+  vec3 low = min(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
+  vec3 high = max(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
+  float entryDistance = max(max(low.x, max(low.y, low.z)), near);
+  float endDistance = min(high.x, min(high.y, high.z));
 
   vec3 rgb = vec3(0.0);
   vec4 features = vec4(0.0);
-  float through = 1.0;
-  vec3 entry = origin + direction * start;
-  int samples = stop > start ? int(ceil(stop - start - 0.5)) : 0;
+  float transmittance = 1.0;
+  vec3 entry = origin + direction * entryDistance;
+  int samples = endDistance > entryDistance ? int(ceil(endDistance - entryDistance - 0.5)) : 0;
   int k = 0;
-  while (k < samples && through > STOP) {
+  while (k < samples && transmittance > MIN_TRANSMITTANCE) {
     vec3 point = entry + (float(k) + 0.5) * direction;
-    // The outer faces belong to the grid: rounding must not push a sample out of its block.
-    ivec3 block = clamp(ivec3(floor(point / DATA_VOXELS)), ivec3(0), blocks - 1);
+    // Clamp: rounding may put a sample on the grid's outer face into a block outside.
+    ivec3 block = clamp(ivec3(floor(point / DATA_VOXELS)), ivec3(0), gridBlocks - 1);
     int cell = texelFetch(indirection, block, 0).r;
-    if (cell < 0) {
-      vec3 reach = vec3(-cell - 1);
+    if (cell < 0) { // minus the distance in blocks to the nearest macroblock that is not empty
+      vec3 radius = vec3(-cell - 1);
       vec3 corner = vec3(block);
-      k = max(k + 1, stepAt(leaves(entry, inverse, (corner - reach) * DATA_VOXELS, (corner + 1.0 + reach) * DATA_VOXELS)));
+      float exit = exitDistance(entry, inverseDirection, (corner - radius) * DATA_VOXELS, (corner + 1.0 + radius) * DATA_VOXELS);
+      k = max(k + 1, firstSampleFrom(exit));
       continue;
     }
     int page = cell >> 24;
     vec3 corner = vec3(block) * DATA_VOXELS;
-    vec3 offset = vec3(cell & 255, cell >> 8 & 255, cell >> 16 & 255) * CELL_VOXELS + 1.0 - corner; // grid to atlas
-    int last = min(samples, max(k + 1, stepAt(leaves(entry, inverse, corner, corner + DATA_VOXELS))));
-    bool ask = true; // whether the coarse voxel may be empty
-    while (k < last && through > STOP) {
-      vec3 at = entry + (float(k) + 0.5) * direction + offset;
-      if (ask) {
-        ivec3 coarse = ivec3(at) >> 2;
-        float empty = skipAt(page, coarse);
-        if (empty > 0.0) {
-          vec3 nearest = (vec3(coarse) + 1.0 - empty) * 4.0;
-          float exit = leaves(entry, inverse, nearest - offset, nearest + (2.0 * empty - 1.0) * 4.0 - offset);
-          k = min(max(k + 1, stepAt(exit)), last); // past its own border a cell knows nothing
+    vec3 atlasOffset = vec3(cell & 255, cell >> 8 & 255, cell >> 16 & 255) * CELL_VOXELS + 1.0 - corner; // grid to atlas
+    float blockExit = exitDistance(entry, inverseDirection, corner, corner + DATA_VOXELS);
+    int blockEnd = min(samples, max(k + 1, firstSampleFrom(blockExit)));
+    bool maybeEmpty = true; // whether the coarse voxel at the sample may be empty
+    while (k < blockEnd && transmittance > MIN_TRANSMITTANCE) {
+      vec3 texel = entry + (float(k) + 0.5) * direction + atlasOffset;
+      if (maybeEmpty) {
+        ivec3 coarse = ivec3(texel) >> 2;
+        float distance = distanceAt(page, coarse);
+        if (distance > 0.0) {
+          vec3 emptyLow = (vec3(coarse) + 1.0 - distance) * 4.0 - atlasOffset;
+          float exit = exitDistance(entry, inverseDirection, emptyLow, emptyLow + (2.0 * distance - 1.0) * 4.0);
+          k = min(max(k + 1, firstSampleFrom(exit)), blockEnd); // distances hold within the macroblock only
           continue;
         }
       }
-      vec4 texel = rgbaAt(page, at);
-      rgb += through * texel.rgb;
-#ifdef VIEW_DEPENDENCE
-      features += through * featureAt(page, at);
+      vec4 rgba = rgbaAt(page, texel);
+      rgb += transmittance * rgba.rgb;
+#if VIEW_DEPENDENCE
+      features += transmittance * featureAt(page, texel);
 #endif
-      through *= 1.0 - texel.a;
-      ask = texel.a == 0.0;
+      transmittance *= 1.0 - rgba.a;
+      maybeEmpty = rgba.a == 0.0;
       ++k;
     }
   }
 
-#ifdef FILL_HOLES
-  float alpha = 1.0 - through; // equation 9, finite at alpha 0
+#if OPACITY_CORRECTION
+  // Equation 9 divides by alpha; the limit of 1.5 keeps it finite at alpha 0.
+  float alpha = 1.0 - transmittance;
   float factor = alpha < 2.0 / 3.0 ? 1.5 : 1.0 / alpha;
   rgb *= factor;
   features *= factor;
-  through = max(1.0 - factor * alpha, 0.0);
+  transmittance = max(1.0 - factor * alpha, 0.0);
 #endif
-#ifdef VIEW_DEPENDENCE
-  if (through <= NETWORK_TRANSMITTANCE) rgb += residual(rgb + through, features, viewFromCamera * towards);
+#if VIEW_DEPENDENCE
+  if (transmittance <= NETWORK_TRANSMITTANCE) rgb += viewDependentColour(rgb + transmittance, features, networkFromCamera * viewDirection);
 #endif
-  colour = vec4(clamp(rgb + through * background, 0.0, 1.0), 1.0);
+  colour = vec4(clamp(rgb + transmittance * background, 0.0, 1.0), 1.0);
 }

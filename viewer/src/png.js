@@ -1,29 +1,33 @@
-// PNG to the bytes that were written. A canvas or an <img> would premultiply by alpha, convert colours or add noise against
-// fingerprinting; values premultiplied with a low alpha would not survive any of it.
-import { EXPORT_AGAIN, Problem } from "./problem.js";
+// Decodes PNG exactly. A canvas or an <img> may premultiply by alpha, convert colours, or add noise against fingerprinting; colours
+// and features under a low alpha would be lost.
+import { EXPORT_AGAIN, ViewerError } from "./errors.js";
 
 const COLOUR_TYPES = { 1: 0, 3: 2, 4: 6 };
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 
-/** The pixels, row by row, of an 8-bit PNG that must have exactly this size and number of channels (1, 3 or 4). */
+/**
+ * The pixels of an 8-bit PNG of exactly this size and number of channels (1, 3 or 4): a Uint8Array, row by row.
+ *
+ * Throws a ViewerError that names the file where it is damaged or another image.
+ */
 export async function decodePng(bytes, name, width, height, channels) {
-  const damaged = (why) => new Problem(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
+  const damaged = (why) => new ViewerError(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
   if (SIGNATURE.some((value, i) => bytes[i] !== value)) throw damaged("it is not a PNG");
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const parts = [];
   let header = null;
-  for (let at = 8; at + 12 <= bytes.length; ) {
-    const length = view.getUint32(at);
-    const type = String.fromCharCode(...bytes.subarray(at + 4, at + 8));
-    const body = bytes.subarray(at + 8, at + 8 + length);
+  for (let offset = 8; offset + 12 <= bytes.length; ) {
+    const length = view.getUint32(offset);
+    const type = String.fromCharCode(...bytes.subarray(offset + 4, offset + 8));
+    const body = bytes.subarray(offset + 8, offset + 8 + length);
     if (body.length < length) throw damaged("it is cut short");
-    if (type === "IHDR") header = [view.getUint32(at + 8), view.getUint32(at + 12), ...bytes.subarray(at + 16, at + 21)];
+    if (type === "IHDR") header = [view.getUint32(offset + 8), view.getUint32(offset + 12), ...bytes.subarray(offset + 16, offset + 21)];
     if (type === "IDAT") parts.push(body);
-    at += 12 + length;
+    offset += 12 + length;
   }
   const expected = [width, height, 8, COLOUR_TYPES[channels], 0, 0, 0];
   if (!header || expected.some((value, i) => header[i] !== value)) {
-    throw damaged(`it is not the picture of ${width} x ${height} pixels and ${channels} channels that belongs here`);
+    throw damaged(`it is not the image of ${width} x ${height} pixels and ${channels} channels that belongs here`);
   }
   const raw = await inflate(parts).catch(() => {
     throw damaged("its contents cannot be read");
@@ -39,7 +43,10 @@ async function inflate(parts) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Undo the filters in place, closing the gaps that the filter bytes leave: what is written always lies behind what is read. */
+/**
+ * Undo the PNG filters in place, and remove the byte in front of each row that names its filter: every value is written before the
+ * position it is read from. Returns false where a row has an unknown filter.
+ */
 function unfilter(raw, height, stride, channels) {
   for (let row = 0; row < height; row++) {
     const from = row * (stride + 1) + 1;

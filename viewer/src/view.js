@@ -1,170 +1,165 @@
-// Where the picture is taken from: an exported camera, to the digit, until somebody moves; then an orbit around the box.
-import { OrthographicCamera, PerspectiveCamera } from "three";
+// What the page shows: the picture of an exported camera, exactly, until the user moves; then an orbit around the scene.
+import { Matrix4, OrthographicCamera, PerspectiveCamera, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
 
-const NAVIGATION_TILT = 1e-4; // a camera looking straight down keeps its heading by leaning this much
+const MIN_TILT = 1e-4; // radians: a camera that looks straight down is tilted by this much, so that the orbit keeps its heading
+const MIN_ORBIT_DISTANCE = 0.02; // of the orbit's scale: where a camera is past the centre, it orbits a point this far before it
 
-const transpose = (m) => m[0].map((_, j) => m.map((row) => row[j]));
-const multiply = (a, b) => a.map((row) => b[0].map((_, j) => row.reduce((sum, value, k) => sum + value * b[k][j], 0)));
-const apply = (m, v) => m.map((row) => row.reduce((sum, value, k) => sum + value * v[k], 0));
-const subtract = (a, b) => a.map((value, i) => value - b[i]);
-const dot = (a, b) => a.reduce((sum, value, i) => sum + value * b[i], 0);
-const rotationOf = (pose) => pose.slice(0, 3).map((row) => row.slice(0, 3));
-const positionOf = (pose) => pose.slice(0, 3).map((row) => row[3]);
-
-/** The camera whose picture is a forward-facing scene's device coordinates from -1 to 1. */
+/** The camera whose image spans -1 to 1 in a forward-facing scene's normalised device coordinates. */
 function frameCamera({ camera_to_world, focal }) {
   const [width, height] = [(1000 * focal[1]) / focal[0], 1000];
   const centre = [width / 2, height / 2];
-  return { width, height, focal: [focal[0] * centre[0], focal[1] * centre[1]], centre, projection: "perspective", near: 0, name: "", camera_to_world };
+  const cameraToWorld = matrixOfRows(camera_to_world);
+  return { width, height, focal: [focal[0] * centre[0], focal[1] * centre[1]], centre, projection: "perspective", near: 0, name: "", cameraToWorld };
 }
 
 /**
- * All in double precision, and orbiting in units of the box around its centre: a scene far from the origin, tiny or huge,
- * behaves like any other.
+ * The camera, and the controls that move it.
+ *
+ * All numbers are in double precision. The controls work in units of `orbitScale` around `centre`, so that they behave the same
+ * for scenes of any size at any distance from the world's origin.
  */
 export class View {
+  /** scene: of `readScene`. element: receives the mouse. onChange: called when the picture changes. */
   constructor(scene, element, onChange) {
     this.scene = scene;
     this.onChange = () => {};
-    // What the shader is given rays in: the grid's voxels, or the frame of a forward-facing scene and its near plane.
-    const pose = scene.ndc ? scene.ndc.camera_to_world : scene.grid_to_world;
-    this.axes = rotationOf(pose);
-    this.corner = positionOf(pose);
-    this.length = scene.ndc ? scene.ndc.near : scene.voxel_size;
-    // What one orbits: the box; in front of a frame, the depth that is in the middle of its device coordinates.
-    const half = scene.ndc ? [0, 0, -2 * scene.ndc.near] : scene.shape.map((voxels) => (voxels * scene.voxel_size) / 2);
-    this.centre = apply(this.axes, half).map((value, i) => value + this.corner[i]);
-    this.unit = 2 * Math.hypot(...half);
+    // Ray space, in which the shader is given rays (see march.glsl).
+    const pose = scene.ndc ? matrixOfRows(scene.ndc.camera_to_world) : scene.gridToWorld;
+    this.raySpaceFromWorld = rotationOf(pose).transpose(); // a rotation
+    this.raySpaceOrigin = positionOf(pose);
+    this.raySpaceUnit = scene.ndc ? scene.ndc.near : scene.voxel_size;
+    // The orbit's centre, from that origin: the box's centre, or of a forward-facing scene the depth at the middle of its NDC.
+    const toCentre = scene.ndc ? new Vector3(0, 0, -2 * scene.ndc.near) : new Vector3(...scene.shape).multiplyScalar(scene.voxel_size / 2);
+    this.orbitScale = 2 * toCentre.length();
+    this.centre = toCentre.applyMatrix4(pose);
     this.size = [1, 1];
     this.background = [1, 1, 1];
-    this.handles = { perspective: new PerspectiveCamera(), orthographic: new OrthographicCamera() };
-    for (const handle of Object.values(this.handles)) handle.up.set(0, 0, 1);
-    this.controls = new OrbitControls(this.handles.perspective, element);
+    this.orbitCameras = { perspective: new PerspectiveCamera(), orthographic: new OrthographicCamera() };
+    for (const camera of Object.values(this.orbitCameras)) camera.up.set(0, 0, 1);
+    this.controls = new OrbitControls(this.orbitCameras.perspective, element);
     Object.assign(this.controls, { rotateSpeed: 0.8, minDistance: 1e-3, maxDistance: 100, minZoom: 1e-2, maxZoom: 1e3 });
     this.controls.addEventListener("change", () => {
-      if (this.syncing) return;
-      this.exact = false;
+      if (this.jumping) return;
+      this.atCamera = false;
       this.onChange();
     });
     this.jump(this.overview());
     this.onChange = onChange;
   }
 
-  /** A camera that sees the whole box, from the front, the right and above; or a forward-facing scene's own frame. */
+  /** A camera that sees the whole box from the front, the right and above; of a forward-facing scene, the camera of its frame. */
   overview() {
     if (this.scene.ndc) return frameCamera(this.scene.ndc);
-    const back = [0.45, -0.8, 0.4];
-    const length = Math.hypot(...back);
-    const z = back.map((value) => value / length);
-    const flat = Math.hypot(z[0], z[1]);
-    const x = [-z[1] / flat, z[0] / flat, 0];
-    const y = [z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2], z[0] * x[1] - z[1] * x[0]];
-    const eye = this.centre.map((value, i) => value + 1.6 * this.unit * z[i]);
-    const pose = [0, 1, 2].map((i) => [x[i], y[i], z[i], eye[i]]);
-    const camera = { width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], projection: "perspective", near: 0, name: "" };
-    return { ...camera, camera_to_world: [...pose, [0, 0, 0, 1]] };
+    const back = new Vector3(0.45, -0.8, 0.4).normalize();
+    const cameraToWorld = new Matrix4().lookAt(back, new Vector3(), new Vector3(0, 0, 1));
+    cameraToWorld.setPosition(back.multiplyScalar(1.6 * this.orbitScale).add(this.centre));
+    return { width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], projection: "perspective", near: 0, name: "", cameraToWorld };
   }
 
+  /** Show the picture of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
   jump(camera) {
     this.camera = camera;
-    this.exact = true;
-    const rotation = rotationOf(camera.camera_to_world);
-    const position = positionOf(camera.camera_to_world);
-    const handle = this.handles[camera.projection];
-    const forward = rotation.map((row) => -row[2]);
-    const up = rotation.map((row) => row[1]);
-    const distance = Math.max(dot(subtract(this.centre, position), forward) / this.unit, 0.02);
-    const from = subtract(position, this.centre).map((value) => value / this.unit);
-    const steep = Math.hypot(forward[0], forward[1]) < NAVIGATION_TILT ? NAVIGATION_TILT * Math.sign(-forward[2]) * distance : 0;
-    const target = from.map((value, i) => value + distance * forward[i] + (i < 2 ? steep * up[i] : 0));
-    this.syncing = true;
-    this.controls.object = handle;
-    handle.position.set(...from);
-    handle.zoom = 1;
-    this.controls.target.set(...target);
-    this.fit();
+    this.atCamera = true;
+    const [up, backward] = [1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.cameraToWorld, column));
+    const forward = backward.negate();
+    const position = positionOf(camera.cameraToWorld).sub(this.centre).divideScalar(this.orbitScale);
+    const distance = Math.max(-position.dot(forward), MIN_ORBIT_DISTANCE);
+    const target = position.clone().addScaledVector(forward, distance);
+    if (Math.hypot(forward.x, forward.y) < MIN_TILT) target.addScaledVector(up.setZ(0), -MIN_TILT * Math.sign(forward.z) * distance);
+    this.jumping = true;
+    this.controls.object = this.orbitCameras[camera.projection];
+    this.controls.object.position.copy(position);
+    this.controls.object.zoom = 1;
+    this.controls.target.copy(target);
+    this.fitOrbitCameras();
     this.controls.update();
-    this.syncing = false;
+    this.jumping = false;
     this.onChange();
   }
 
+  /** Turn the orbit, by radians. */
   turn(right, up) {
     this.controls.rotateLeft(-right);
     this.controls.rotateUp(up);
     this.controls.update();
   }
 
+  /** The page's size in CSS pixels. */
   resize(width, height) {
     this.size = [width, height];
-    this.fit();
+    this.fitOrbitCameras();
   }
 
-  /** The camera's frame fits into the page; the page shows what lies around it too. */
+  /** CSS pixels a pixel of the camera: its whole image fits into the page, which also shows what lies around it. */
   get scale() {
     return Math.min(this.size[0] / this.camera.width, this.size[1] / this.camera.height);
   }
 
-  /** The frame on the page: [left, top, width, height] in the units of `resize`. */
+  /** Where the camera's image lies on the page: [left, top, width, height] in CSS pixels. */
   get frame() {
     const [width, height] = [this.camera.width * this.scale, this.camera.height * this.scale];
     return [(this.size[0] - width) / 2, (this.size[1] - height) / 2, width, height];
   }
 
-  /** Tell the controls how far a pixel goes. */
-  fit() {
+  /** Give the controls' cameras the field of view of the page: the controls derive from it how far a drag moves. */
+  fitOrbitCameras() {
     const [width, height] = this.size;
     const focal = this.camera.focal[1] * this.scale;
-    const { perspective, orthographic } = this.handles;
+    const { perspective, orthographic } = this.orbitCameras;
     perspective.fov = (2 * Math.atan(height / (2 * focal)) * 180) / Math.PI;
     perspective.aspect = width / height;
-    orthographic.right = width / (2 * focal * this.unit);
-    orthographic.top = height / (2 * focal * this.unit);
+    orthographic.right = width / (2 * focal * this.orbitScale);
+    orthographic.top = height / (2 * focal * this.orbitScale);
     [orthographic.left, orthographic.bottom] = [-orthographic.right, -orthographic.top];
   }
 
-  /** [rotation 3 x 3, position 3] to the world. */
+  /** Camera-to-world, a rigid transform as a Matrix4. */
   pose() {
-    if (this.exact) return [rotationOf(this.camera.camera_to_world), positionOf(this.camera.camera_to_world)];
-    const handle = this.controls.object;
-    handle.updateMatrixWorld();
-    const m = handle.matrixWorld.elements; // column by column
-    const rotation = [0, 1, 2].map((i) => [m[i], m[4 + i], m[8 + i]]);
-    return [rotation, handle.position.toArray().map((value, i) => value * this.unit + this.centre[i])];
+    if (this.atCamera) return this.camera.cameraToWorld;
+    const camera = this.controls.object;
+    camera.updateMatrixWorld();
+    return camera.matrixWorld.clone().setPosition(camera.position.clone().multiplyScalar(this.orbitScale).add(this.centre));
   }
 
-  /** What the shader needs for a picture of that size (which has the page's proportions). */
+  /** The uniforms of march.glsl that follow the camera, for an image of that size in pixels, which has the page's aspect ratio. */
   uniforms(width, height) {
     const { scene, camera } = this;
-    const parallel = camera.projection === "orthographic";
-    const [rotation, position] = this.pose();
-    const toAxes = transpose(this.axes);
-    const axesFromCamera = multiply(toAxes, rotation);
-    let eye = apply(toAxes, subtract(position, this.corner)).map((value) => value / this.length);
-    let near = Math.max(scene.near, camera.near) / this.length;
-    if (parallel && !scene.ndc) [eye, near] = this.closer(eye, near, axesFromCamera);
+    const orthographic = camera.projection === "orthographic";
+    const pose = this.pose();
+    const rotation = rotationOf(pose);
+    const raySpaceFromCamera = this.raySpaceFromWorld.clone().multiply(rotation);
+    // Subtracted in the world before anything else: far from the world's origin, products would lose the digits.
+    const cameraPosition = positionOf(pose).sub(this.raySpaceOrigin).applyMatrix4(this.raySpaceFromWorld).divideScalar(this.raySpaceUnit);
+    let nearDistance = Math.max(scene.near, camera.near) / this.raySpaceUnit;
+    if (orthographic && !scene.ndc) nearDistance -= this.moveToBox(cameraPosition, raySpaceFromCamera);
     const [sx, sy] = [width / this.size[0], height / this.size[1]];
     const [left, top] = this.frame;
-    const zoom = this.scale * (this.exact ? 1 : this.controls.object.zoom);
-    const pixels = parallel ? zoom * this.length : zoom;
+    const zoom = this.scale * (this.atCamera ? 1 : this.controls.object.zoom);
+    const pixels = orthographic ? zoom * this.raySpaceUnit : zoom;
     return {
       focal: [camera.focal[0] * pixels * sx, camera.focal[1] * pixels * sy],
-      centre: [(camera.centre[0] * this.scale + left) * sx, (camera.centre[1] * this.scale + top) * sy],
-      height,
-      parallel,
-      eye,
-      axesFromCamera,
-      viewFromCamera: multiply(scene.view_rotation, rotation),
-      near,
+      principalPoint: [(camera.centre[0] * this.scale + left) * sx, (camera.centre[1] * this.scale + top) * sy],
+      imageHeight: height,
+      orthographic,
+      cameraPosition,
+      raySpaceFromCamera,
+      networkFromCamera: scene.networkFromWorld.clone().multiply(rotation),
+      nearDistance,
       background: this.background,
     };
   }
 
-  /** Parallel rays may start anywhere before the box: from close by, single precision suffices. */
-  closer(eye, near, axesFromCamera) {
-    const forward = axesFromCamera.map((row) => -row[2]);
-    const half = this.scene.shape.map((voxels) => voxels / 2);
-    const slide = Math.max(0, dot(subtract(half, eye), forward) - Math.hypot(...half) - 1);
-    return [eye.map((value, i) => value + slide * forward[i]), near - slide];
+  /**
+   * Move the position of an orthographic camera, in voxels, forward to just before the box, where single precision resolves its
+   * rays. Returns by how many voxels.
+   */
+  moveToBox(position, raySpaceFromCamera) {
+    const forward = new Vector3().setFromMatrixColumn(raySpaceFromCamera, 2).negate();
+    const halfBox = new Vector3(...this.scene.shape).multiplyScalar(0.5);
+    const distance = Math.max(0, halfBox.clone().sub(position).dot(forward) - halfBox.length() - 1);
+    position.addScaledVector(forward, distance);
+    return distance;
   }
 }

@@ -1,0 +1,33 @@
+// Where the cells lie in the atlas textures of this device.
+import { ViewerError } from "./errors.js";
+import { CELL_VOXELS } from "./scene.js";
+
+const MAX_CELLS_PER_SIDE = 255; // the indirection texture stores a position in cells with 8 bits an axis
+
+/**
+ * A layout for that many cells: {pages, blocks, cellsPerPage}, with `pages` textures of blocks = [x, y, z] cells each, which the
+ * cells fill page by page, x fastest. No texture has more than `textureLimit` texels on a side.
+ *
+ * The layout of the files may not fit: WebGL 2 guarantees 256 texels a side. Cells are uploaded one by one, so that any layout
+ * will do; this one is nearly a cube, which leaves few cells unused. Throws a ViewerError when the cells need more than maxPages.
+ */
+export function atlasLayout(cells, textureLimit, maxPages) {
+  const side = Math.min(Math.floor(textureLimit / CELL_VOXELS), MAX_CELLS_PER_SIDE);
+  const pages = Math.max(1, Math.ceil(cells / side ** 3));
+  if (side < 1 || pages > maxPages) {
+    throw new ViewerError(
+      `The scene's texture is too large for this device: it has ${cells} blocks, and the graphics driver holds ` +
+        `${maxPages * side ** 3} (3D textures of ${textureLimit} texels a side). Bake it at a lower resolution, or use another device.`,
+    );
+  }
+  const cellsPerPage = Math.max(1, Math.ceil(cells / pages));
+  const x = Math.min(side, Math.ceil(Math.cbrt(cellsPerPage) - 1e-9));
+  const y = Math.ceil(Math.sqrt(cellsPerPage / x) - 1e-9);
+  return { pages, blocks: [x, y, Math.ceil(cellsPerPage / (x * y))], cellsPerPage };
+}
+
+/** The position of a cell in a layout: [page, x, y, z] in cells. */
+export function cellPosition({ blocks: [x, y], cellsPerPage }, cell) {
+  const i = cell % cellsPerPage;
+  return [Math.floor(cell / cellsPerPage), i % x, Math.floor(i / x) % y, Math.floor(i / (x * y))];
+}

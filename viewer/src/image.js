@@ -1,0 +1,34 @@
+// Decodes images without alpha (WebP, JPEG, AVIF) by the browser's own decoders. Images with alpha are PNG (png.js): a canvas would
+// premultiply them.
+import { EXPORT_AGAIN, ViewerError } from "./errors.js";
+
+/**
+ * The pixels of an image of exactly this size: a Uint8ClampedArray of red, green, blue and 255 a pixel, row by row. type: its MIME
+ * type. Throws a ViewerError where it is damaged or of another size, or where this browser cannot decode it or alters canvases.
+ */
+export async function decodeOpaque(bytes, name, width, height, type) {
+  const bitmap = await createImageBitmap(new Blob([bytes], { type }), { colorSpaceConversion: "none", premultiplyAlpha: "none" }).catch(() => {
+    throw new ViewerError(`The file ${name} cannot be shown: it is damaged, or this browser knows no ${type}. ${EXPORT_AGAIN}`);
+  });
+  if (bitmap.width !== width || bitmap.height !== height) {
+    throw new ViewerError(`The file ${name} is damaged: it is not the image of ${width} x ${height} pixels that belongs here. ${EXPORT_AGAIN}`);
+  }
+  const context = contextOf(width, height);
+  context.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  return context.getImageData(0, 0, width, height).data;
+}
+
+/** A canvas of that size; its colours are tested, since browsers that resist fingerprinting return noise. */
+function contextOf(width, height) {
+  const context = new OffscreenCanvas(width, height).getContext("2d", { alpha: false, willReadFrequently: true });
+  context.fillStyle = "#205080";
+  context.fillRect(0, 0, 1, 1);
+  const [red, green, blue] = context.getImageData(0, 0, 1, 1).data;
+  if (Math.max(Math.abs(red - 32), Math.abs(green - 80), Math.abs(blue - 128)) > 2) {
+    throw new ViewerError(
+      "This browser's protection against fingerprinting alters the scene's images. Allow this page to read canvases, or export it with the codec png.",
+    );
+  }
+  return context;
+}

@@ -1,0 +1,65 @@
+// Reads the images that hold a slice of the atlas: four Z planes, one below the other (core/export/codecs.py).
+import { readFile } from "./files.js";
+import { decodeOpaque } from "./image.js";
+import { decodePng } from "./png.js";
+import { CELL_VOXELS } from "./scene.js";
+
+export const SLICE_PLANES = 4; // Z planes a slice
+
+// `bounded`: the codec is lossy, and its values are limited to alpha.
+const CODECS = {
+  webp: { suffix: "webp", type: "image/webp", bounded: false },
+  jpeg: { suffix: "jpg", type: "image/jpeg", bounded: true },
+  avif: { suffix: "avif", type: "image/avif", bounded: true },
+};
+
+/**
+ * The texels of a slice, by kind: {rgba, feature}, each a Uint8Array with four bytes a texel, x fastest; feature is null in a
+ * diffuse scene. Throws a ViewerError that names a file which is missing or damaged.
+ */
+export async function readSlice(scene, folder, slice) {
+  const number = String(slice).padStart(3, "0");
+  const file = async (kind, suffix) => {
+    const name = `${folder}/${kind}_${number}.${suffix}`;
+    return [await readFile(name), name];
+  };
+  const width = scene.atlas_blocks[0] * CELL_VOXELS;
+  const height = SLICE_PLANES * scene.atlas_blocks[1] * CELL_VOXELS;
+  const png = async (kind, channels) => decodePng(...(await file(kind, "png")), width, height, channels);
+  const viewDependent = scene.network !== null;
+  if (scene.codec.name === "png") {
+    const [rgba, feature] = await Promise.all([png("rgba", 4), viewDependent ? png("feature", 4) : null]);
+    return { rgba, feature };
+  }
+  const { suffix, type, bounded } = CODECS[scene.codec.name];
+  const opaque = async (kind, rows) => decodeOpaque(...(await file(kind, suffix)), width, rows, type);
+  const [alpha, rgb, feature] = await Promise.all([
+    png("alpha", 1),
+    opaque("rgb", height),
+    viewDependent ? opaque("feature", 2 * height) : null,
+  ]);
+  return mergeAlpha(alpha, rgb, feature, bounded);
+}
+
+/**
+ * Texels from images without alpha: `alpha` one byte a pixel; `rgb` and `feature` four, of which the last is unused. The fourth
+ * feature is stored in the lower half of the feature image, as grey.
+ */
+function mergeAlpha(alpha, rgb, feature, bounded) {
+  const pixels = alpha.length;
+  for (let i = 0; i < pixels; i++) {
+    rgb[4 * i + 3] = alpha[i];
+    if (feature) feature[4 * i + 3] = feature[4 * (pixels + i) + 1];
+  }
+  if (bounded) {
+    // Values are premultiplied by alpha, hence at most alpha. A lossy codec exceeds it, which would show as haze in empty space.
+    for (let i = 0; i < pixels; i++) {
+      for (let j = 4 * i; j < 4 * i + 4; j++) {
+        if (rgb[j] > alpha[i]) rgb[j] = alpha[i];
+        if (feature && feature[j] > alpha[i]) feature[j] = alpha[i];
+      }
+    }
+  }
+  const bytes = (data) => new Uint8Array(data.buffer, 0, 4 * pixels);
+  return { rgba: bytes(rgb), feature: feature ? bytes(feature) : null };
+}
