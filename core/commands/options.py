@@ -53,7 +53,7 @@ def fraction(text: str) -> float:
 
 
 def samples(text: str) -> int:
-    """Samples a voxel: an integer of 0 or more, or 'auto', which is AUTO_SUPERSAMPLING. Raises argparse.ArgumentTypeError or ValueError otherwise."""
+    """Samples a voxel: an integer of 0 or more, or 'auto'. Raises argparse.ArgumentTypeError or ValueError otherwise."""
     return AUTO_SUPERSAMPLING if text == "auto" else natural(text)
 
 

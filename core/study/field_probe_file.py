@@ -6,7 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,23 @@ from .field_probe import FieldProbe, Rates, coarse
 VERSION = 1
 ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples")
 FLAGS = ("inside", "held", "kept")  # the arrays of booleans
+RATE_KEYS = {  # names of the rates in files, which have been the same since the first version
+    "compile": "start",
+    "block_voxel": "test",
+    "query": "query",
+    "visibility_view": "eye",
+    "visibility_ray": "look",
+    "sample": "fill",
+    "kept_voxel": "keep",
+    "preview_view": "view",
+    "preview_ray": "ray",
+    "acceleration_block": "table",
+    "kept_voxel_bytes": "bytes",
+    "preview_samples": "met",
+    "preview_growth": "growth",
+    "visibility_samples": "seen_met",
+    "visibility_growth": "seen_growth",
+}
 MAX_BYTES = 2**28  # of a file that is read; a probe takes about 1 MB
 
 
@@ -37,7 +54,12 @@ def stamp(source: Path) -> str:
 
 def write_field_probe(path: Path, probe: FieldProbe, mark: str) -> None:
     """Write the probe of the field with the stamp `mark`, whole or not at all. Raises SnergError where it cannot be written."""
-    about = {"survey": VERSION, "field": mark, "rates": asdict(probe.rates), "share": probe.share}
+    about = {
+        "survey": VERSION,
+        "field": mark,
+        "rates": {RATE_KEYS[name]: value for name, value in asdict(probe.rates).items()},
+        "share": probe.share,
+    }
     about |= {"pilot": probe.pilot, "seconds": probe.seconds, "size": probe.filled[1]}
     arrays = {name: np.asarray(getattr(probe, name)) for name in ARRAYS} | {"filled": probe.filled[0]}
     write_arrays(path, arrays | {"about": np.array(json.dumps(about))})
@@ -76,7 +98,7 @@ def checked(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str,
         raise ValueError("it has no voxel sizes")
     values: dict[str, Any] = {name: number(about[name], name, 0) for name in ("share", "pilot", "seconds")}
     rates = record(about["rates"], "rates")
-    values["rates"] = Rates(**{field.name: number(rates[field.name], field.name) for field in fields(Rates)})
+    values["rates"] = Rates(**{name: number(rates[key], key) for name, key in RATE_KEYS.items()})
     values["samples"] = tuple(int(count) for count in arrays["samples"])
     values["filled"] = arrays["filled"], number(about["size"], "size", 0)
     return {name: arrays[name] for name in ARRAYS} | values
