@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-# bench-estimate on five fields (Lego, fern, fox, and a matte and a mirror-like scene rendered in Blender), 128 to 512 voxels along the longest
-# side with 1, 2, 4 and automatic samples a voxel, on a processor with 2 cores. Of 20 configurations the estimates of a bake's time, memory and
-# bytes were all within 25 %, those of a preview's time 15.
+# bench-estimate on five fields (Lego, fern, fox, and a matte and a mirror-like scene rendered in Blender), 128 to 512 voxels along the
+# longest side with 1, 2, 4 and automatic samples a voxel, on a processor with 2 cores. Of 20 configurations the estimates of a bake's
+# time, memory and bytes were all within 25 %, and 15 of those of a preview's time.
 BENCH = "bench-estimate, five fields at 128 to 512 voxels"
 BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
 TRAININGS = "by hand from single trainings; bench-estimate does not refit it"

@@ -54,12 +54,8 @@ def stamp(source: Path) -> str:
 
 def write_field_probe(path: Path, probe: FieldProbe, mark: str) -> None:
     """Write the probe of the field with the stamp `mark`, whole or not at all. Raises SnergError where it cannot be written."""
-    about = {
-        "survey": VERSION,
-        "field": mark,
-        "rates": {RATE_KEYS[name]: value for name, value in asdict(probe.rates).items()},
-        "share": probe.share,
-    }
+    rates = {RATE_KEYS[name]: value for name, value in asdict(probe.rates).items()}
+    about = {"survey": VERSION, "field": mark, "rates": rates, "share": probe.share}
     about |= {"pilot": probe.pilot, "seconds": probe.seconds, "size": probe.filled[1]}
     arrays = {name: np.asarray(getattr(probe, name)) for name in ARRAYS} | {"filled": probe.filled[0]}
     write_arrays(path, arrays | {"about": np.array(json.dumps(about))})
