@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
 from snerg.core.training.config import TrainSettings
 
+ROOT = Path(__file__).parents[3]
 BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
 
 
@@ -191,3 +194,24 @@ def test_the_command(dataset, tmp_path, capsys):
     write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "scene")
     assert cli.main(["estimate", str(tmp_path / "scene")]) == 2
     assert "baked already" in capsys.readouterr().err
+
+
+def test_coefficients_are_found_again_from_what_they_estimate(probed, monkeypatch):
+    from snerg.core.study.coefficients import Coefficients
+
+    monkeypatch.syspath_prepend(ROOT / "bench")
+    fit = importlib.import_module("fit")
+    true = Coefficients(
+        occupancy_start=0.3, prefilter_factor=1.4, preview_factor=0.6, voxel_bytes_decay=0.1, process_bytes=500e6, cell_copies=2.0
+    )
+    measurements = []
+    for resolution, samples in ((64, 1), (128, 4), (256, 2), (256, 0)):
+        made = fit.Measurement(probed, BakeSettings(resolution=resolution, samples=samples), 0.0, 0.0, 0.0, 0.0, None).estimate(true)
+        seconds = made.seconds["start"] + made.seconds["occupancy"], made.seconds["prefilter"]
+        settings = BakeSettings(resolution=resolution, samples=samples)
+        measurements.append(fit.Measurement(probed, settings, *seconds, made.preview, made.megabytes, made.peak_megabytes))
+    found, counts = fit.fit(measurements)
+    assert counts["preview_factor"] == 4 and counts["prefilter_factor"] == 3 and "ray_overhead" not in counts
+    for name in vars(true):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=1e-3), name
+    assert "`cell_copies` | 3 | 2 (4 rows)" in fit.fit_table(found, counts)
