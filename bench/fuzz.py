@@ -79,7 +79,7 @@ def subjects() -> list[Subject]:
     from snerg.core.nerf.sampling import CELLS, Domain
     from snerg.core.study import effects, field_probe_file
     from snerg.core.study.field_probe import FieldProbe, Rates
-    from snerg.core.study.plan import Config
+    from snerg.core.study.plan import Configuration
     from snerg.core.study.sweep import read_row
     from snerg.core.training.log import read_log
 
@@ -133,7 +133,7 @@ def subjects() -> list[Subject]:
         return make
 
     def row(folder: Path) -> None:
-        value = {"key": "row", "config": Config().to_json(), "psnr": 30.0, "ms": 5.0, "megabytes": 1.0, "seconds": {"bake": 1.0}}
+        value = {"key": "row", "config": Configuration().to_json(), "psnr": 30.0, "ms": 5.0, "megabytes": 1.0, "seconds": {"bake": 1.0}}
         (folder / "row.json").write_bytes(json_bytes(value | {"psnr_of_views": [30.0], "predicted": {"ms": 4.0}, "ssim": 0.9}))
 
     def kept(folder: Path) -> None:

@@ -7,7 +7,7 @@ import argparse
 from ..artifact import Result
 from ..errors import needs_jax
 from ..progress import Progress
-from ..study.pareto import Target
+from ..study.pareto import StudyTarget
 from ..study.plan import StudySettings
 from .command import Command
 from .options import count, path, positive
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     with needs_jax():
         from ..study.study import study
     settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box, paper=options.paper)
-    target = Target(options.target_db, options.target_mb, options.target_ms)
+    target = StudyTarget(options.target_db, options.target_mb, options.target_ms)
     return study(options.source, options.out, options.dataset, settings, target, progress)
 
 

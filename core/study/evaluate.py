@@ -31,7 +31,7 @@ from .metrics import mean_psnr, mse, psnr_of, ssim
 
 SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
 SHEET_PIXELS = 480  # width of a picture on it
-USUAL = MarchSettings()
+DEFAULT_MARCH = MarchSettings()
 COLUMNS = ("truth", "rendered", "error x 10")
 
 
@@ -44,7 +44,7 @@ def evaluate(
     downscale: int | None = None,
     out: Path | None = None,
     progress: Progress = silent,
-    settings: MarchSettings = USUAL,
+    settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
     """Quality of a field or a scene on views of a dataset: PSNR of the mean error, mean SSIM, seconds a view.
 
@@ -70,7 +70,7 @@ def evaluate(
     return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **found, **where}
 
 
-def measure_into(subject: Target, views: Dataset, out: Path | None, progress: Progress) -> Result:
+def measure_into(subject: EvaluationTarget, views: Dataset, out: Path | None, progress: Progress) -> Result:
     """`Score.result` of all views; out: as for `evaluate`."""
     score = Score()
     if out is None:
@@ -93,7 +93,7 @@ def held_out(path: Path, options: DatasetOptions) -> Dataset:
 
 
 @dataclass(frozen=True)
-class Target:
+class EvaluationTarget:
     """What is measured. kind: 'field' or 'scene'; render: a camera to its picture; background: as in training, RGB in [0, 1].
 
     dataset: the folder it was trained on, '' where it does not say; options: how that was read.
@@ -106,11 +106,11 @@ class Target:
     options: DatasetOptions
 
 
-def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
+def open_target(path: Path, settings: MarchSettings = DEFAULT_MARCH) -> EvaluationTarget:
     """Read a field, a checkpoint or a scene. Raises SnergError when `path` is none of them, or not what the settings are for."""
     kind = kind_of(path)
     if kind in ("field", "checkpoint"):
-        if settings != USUAL:
+        if settings != DEFAULT_MARCH:
             raise SnergError(f"{path} is a {kind}, which is not marched; bake it first to measure with such settings of the march.")
         with needs_jax():
             import jax  # noqa: F401  # evaluating a field compiles it
@@ -118,10 +118,10 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
             from ..nerf.render import render_field
         field = open_field(path)
         known = trained(field.about)
-        return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
+        return EvaluationTarget("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
     if kind in ("scene", "reference scene", "page"):
         snerg = ready_scene(path, settings)
-        return Target(
+        return EvaluationTarget(
             "scene", lambda camera, progress: render_scene(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
         )
     raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
@@ -141,7 +141,7 @@ def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, flo
     return background_of(known), dataset, options_of(known)
 
 
-def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:
+def _measure(subject: EvaluationTarget, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:
     """Render and score every view; with a folder, keep each picture there. Returns the contact sheet."""
     count, rows = len(views.views), []
     shown = set(np.linspace(0, count - 1, min(count, SHEET_VIEWS)).round().astype(int).tolist())

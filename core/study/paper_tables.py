@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .pareto import Row
-from .plan import BITS, NETWORK, REFINE, RESOLUTION, Step
+from .pareto import StudyRow
+from .plan import BITS, NETWORK, REFINE, RESOLUTION, PlanStep
 
-VARIANTS: dict[str, dict[str, Any]] = {  # fields that are trained for these tables alone, as long as the usual one
+VARIANTS: dict[str, dict[str, Any]] = {  # fields that are trained for these tables alone, as long as the field of the baseline
     "diffuse": {"view_dependence": "diffuse"},
     "no sparsity loss": {"view_dependence": "deferred", "sparsity": 0.0, "hardness": 0.0},
     "tiny": {"view_dependence": "tiny"},
     "sample": {"view_dependence": "sample"},
 }
-BAKED = ("diffuse", "no sparsity loss")  # of them those that a grid can hold
+BAKED = ("diffuse", "no sparsity loss")  # those of them that can be baked
 PAPER = "the paper's rows"
 WHY = (
     "The published figures are of fields trained for 250000 steps on GPUs at 800 x 800 pixels, grids of 1000 voxels a side, and frames "
@@ -28,25 +28,27 @@ WHY = (
 
 @dataclass(frozen=True)
 class Table:
-    """columns: of ours, and of the published figures; rows: (name, the row measured here or None, published figures)."""
+    """A table of the paper."""
 
     title: str
-    columns: tuple[str, ...]
-    published: str
-    rows: tuple[tuple[str, Row | None, tuple[float | str | None, ...]], ...]
+    columns: tuple[str, ...]  # of our rows
+    published: str  # what the published figures are
+    rows: tuple[tuple[str, StudyRow | None, tuple[float | str | None, ...]], ...]  # (name, our row, the published figures)
 
 
-def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], usual: Row, main: Row | None) -> list[Table]:
-    """What was measured of each table; rows that were not have None. main: of the fields' rows the usual one."""
-    steps = {(knob, value): rows.get(step.config.key) for step in plan for knob, value in step.knobs}
+def tables(
+    rows: dict[str, StudyRow], fields: Sequence[StudyRow], plan: Sequence[PlanStep], baseline: StudyRow, main: StudyRow | None
+) -> list[Table]:
+    """Tables 1, 2, 3 and 5 of the paper with what was measured; a row is None where it was not. main: the row of the baseline's field."""
+    steps = {(parameter, value): rows.get(step.config.key) for step in plan for parameter, value in step.parameters}
     kinds = {row.get("field"): row for row in fields}
-    size = usual["config"]["bake"]["resolution"]
+    size = baseline["config"]["bake"]["resolution"]
 
-    def codec(name: str) -> Row | None:
-        found = [row for row in rows.values() if _like(row, usual) and row["config"]["codec"]["name"] == name]
+    def codec(name: str) -> StudyRow | None:
+        found = [row for row in rows.values() if _like(row, baseline) and row["config"]["codec"]["name"] == name]
         return max(found, key=lambda row: row["psnr"], default=None)
 
-    def resolution(share: float) -> Row | None:
+    def resolution(share: float) -> StudyRow | None:
         return steps.get((RESOLUTION, f"{round(share * size)} voxels"))
 
     speed, quality = ("ms", "memory_gb"), ("psnr", "ssim")
@@ -56,7 +58,7 @@ def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], us
             speed,
             "Lego: ms a frame, GPU GB",
             (
-                ("Ours", usual, (9.3, 0.74)),
+                ("Ours", baseline, (9.3, 0.74)),
                 ("1) no MLP", steps.get((PAPER, "diffuse")) or steps.get((NETWORK, "none")), (6.0, 0.74)),
                 ("2) no sparsity loss", steps.get((PAPER, "no sparsity loss")), (25.4, 3.68)),
                 ("3) not deferred", steps.get((NETWORK, "at every sample")), (261.4, 0.74)),
@@ -70,7 +72,7 @@ def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], us
                 ("JAXNeRF+ (NeRF's layers a sample)", kinds.get("sample"), (35.35, 0.979)),
                 ("Tinyview", kinds.get("tiny"), (34.34, 0.975)),
                 ("Deferred", main, (34.67, 0.976)),
-                ("SNeRG (PNG)", usual, (33.82, 0.973)),
+                ("SNeRG (PNG)", baseline, (33.82, 0.973)),
                 ("SNeRG (PNG, no sparsity loss)", steps.get((PAPER, "no sparsity loss")), (None, None)),
                 ("SNeRG (PNG, no FT)", steps.get((REFINE, "not refined")), (None, None)),
                 ("Diffuse", kinds.get("diffuse"), (32.17, 0.968)),
@@ -83,7 +85,7 @@ def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], us
             (
                 ("SNeRG (Float)", steps.get((BITS, "32")), (30.47, 0.951, 6883.6)),
                 ("SNeRG (PNG, no sparsity loss)", steps.get((PAPER, "no sparsity loss")), (30.22, 0.949, 176.0)),
-                ("SNeRG (PNG)", usual, (30.38, 0.950, 86.7)),
+                ("SNeRG (PNG)", baseline, (30.38, 0.950, 86.7)),
                 ("SNeRG (JPEG)", codec("jpeg"), (29.71, 0.939, 70.9)),
                 ("SNeRG (H264)", codec("h264"), (29.86, 0.938, 30.2)),
                 ("the field", main, (33.00, 0.962, 18.0)),
@@ -94,7 +96,7 @@ def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], us
             (*quality, "fps", "megabytes"),
             "mean of 8 scenes: PSNR, SSIM, FPS, MB",
             (
-                (f"{size}³ (1000³)", usual, (30.38, 0.950, 84.06, 86.7)),
+                (f"{size}³ (1000³)", baseline, (30.38, 0.950, 84.06, 86.7)),
                 (f"{round(0.75 * size)}³ (750³)", resolution(0.75), (29.94, 0.947, 89.82, 44.7)),
                 (f"{round(0.5 * size)}³ (500³)", resolution(0.5), (28.93, 0.939, 101.78, 17.8)),
             ),
@@ -102,8 +104,8 @@ def tables(rows: dict[str, Row], fields: Sequence[Row], plan: Sequence[Step], us
     ]
 
 
-def cell(row: Row | None, column: str) -> str:
-    """A figure of a row, '—' where it is not measured."""
+def cell(row: StudyRow | None, column: str) -> str:
+    """A number of a row as text, '—' where it is not measured. column: a key of the row, or "fps" or "memory_gb"."""
     if row is None:
         return "—"
     if column == "fps":
@@ -113,6 +115,6 @@ def cell(row: Row | None, column: str) -> str:
     return {"ms": "{:.0f}", "psnr": "{:.2f}", "ssim": "{:.3f}", "megabytes": "{:.1f}"}[column].format(row[column])
 
 
-def _like(row: Row, usual: Row) -> bool:
-    """Whether a row differs from the usual one in its codec alone."""
-    return {**row["config"], "codec": None} == {**usual["config"], "codec": None}
+def _like(row: StudyRow, baseline: StudyRow) -> bool:
+    """Whether a row differs from the baseline in its codec alone."""
+    return {**row["config"], "codec": None} == {**baseline["config"], "codec": None}
