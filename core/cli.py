@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The parser of every command and its options; parsed options have `command`, `run`, `text`, `json` and `job`."""
     top = _Parser(prog="snerg", description="Bake radiance fields into sparse grids that render in Blender and on the web.")
-    subparsers = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+    subparsers: argparse._SubParsersAction[Any] = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
     for command in all_commands():
         command.add_to(subparsers)
     return top

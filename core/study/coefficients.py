@@ -62,7 +62,8 @@ DEFAULT_COEFFICIENTS = Coefficients()
 
 def table(coefficients: Coefficients) -> list[tuple[str, float, str, str, str]]:
     """(name, value, unit, meaning, where the default was fitted) of each coefficient."""
-    return [
-        (entry.name, float(getattr(coefficients, entry.name)), *(str(entry.metadata[key]) for key in ("unit", "meaning", "fitted")))
-        for entry in fields(coefficients)
-    ]
+    rows = []
+    for entry in fields(coefficients):
+        unit, meaning, fitted = (str(entry.metadata[key]) for key in ("unit", "meaning", "fitted"))
+        rows.append((entry.name, float(getattr(coefficients, entry.name)), unit, meaning, fitted))
+    return rows

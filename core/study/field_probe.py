@@ -189,7 +189,7 @@ def _visible_points(field: Field, points: NDArray[Any], held: NDArray[Any], voxe
     some = some[:: max(1, len(some) // VISIBILITY_POINTS)]
     flags = visible(field, points[some], voxels)
     share = (flags & held[:, some]).sum(axis=1) / np.maximum(held[:, some].sum(axis=1), 1)
-    everywhere = rng.random(held.shape) < share[:, None]
+    everywhere: NDArray[Any] = rng.random(held.shape) < share[:, None]
     everywhere[:, some] = flags
     return everywhere
 

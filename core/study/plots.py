@@ -63,7 +63,10 @@ def error_against_time(rows: Sequence[StudyRow], paths: dict[str, list[PathPoint
     Each parameter's path leads through the baseline (star); the Pareto front is dashed.
     """
     made, axes = figure(12, 5.4, 2)
-    costs = (("milliseconds a frame", lambda row: row["ms"]), ("seconds to bake, refine and write", making_seconds))
+    costs: tuple[tuple[str, Callable[[StudyRow], float]], ...] = (
+        ("milliseconds a frame", lambda row: float(row["ms"])),
+        ("seconds to bake, refine and write", making_seconds),
+    )
     for one, (title, cost) in zip(axes, costs, strict=True):
         for colour, (parameter, path) in zip(COLOURS * 4, paths.items(), strict=False):
             if "," not in parameter:

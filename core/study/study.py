@@ -71,28 +71,15 @@ def study(
     Raises SnergError on bad input, where the time limit allows no measurement, where earlier results belong to another study or
     cannot be read, and where no configuration meets the target (after the report is written); Cancelled when `progress` does.
     """
-    with needs_package("matplotlib", "A study's plots"):  # before the measurements
-        import matplotlib  # noqa: F401
-    with needs_package("jinja2", "A study's reports"):
-        import jinja2  # noqa: F401
+    check_packages()
     deadline = time.monotonic() + 60 * settings.minutes
     kind = kind_of(source)
     notes: list[str] = []
     opened = open_field(source) if kind in ("field", "checkpoint") else open_scene(source) if kind != "dataset" else None
     views, training = _views(source, opened, dataset, settings, notes)
-    about = {
-        "version": VERSION,
-        "kind": kind,
-        "path": str(source),
-        "dataset": str(views.root),
-        "digest": digest(source) if kind != "dataset" else str(source.resolve()),
-        "asked": {"views": settings.views, "repeats": settings.repeats, "box": None if settings.box is None else str(settings.box)}
-        | {"resolution": settings.resolution, "seed": settings.seed},
-        "machine": describe_machine(),
-        "notes": notes,
-    }
+    about = _about(source, kind, views, settings, notes)
     begin(out, about)
-    begun = 0.3 if kind == "dataset" else 0.02
+    begun = 0.3 if kind == "dataset" else 0.02  # fraction of the progress until the first configuration
     subject, baseline = _subject(source, opened, views, training, out, settings, within(progress, 0, begun))
     sweep = Sweep(subject, out)
     baseline = replace(baseline, refine=baseline.refine and sweep.refinable(baseline.field))
@@ -109,6 +96,29 @@ def study(
     if not left_out:
         shutil.rmtree(out / "work", ignore_errors=True)
     return result
+
+
+def check_packages() -> None:
+    """Raise SnergError where a package that the report needs is missing: before the measurements, not after them."""
+    with needs_package("matplotlib", "A study's plots"):
+        import matplotlib  # noqa: F401
+    with needs_package("jinja2", "A study's reports"):
+        import jinja2  # noqa: F401
+
+
+def _about(source: Path, kind: str, views: Dataset, settings: StudySettings, notes: list[str]) -> dict[str, Any]:
+    """The JSON value of about.json: what is measured, with which settings, and on which machine."""
+    return {
+        "version": VERSION,
+        "kind": kind,
+        "path": str(source),
+        "dataset": str(views.root),
+        "digest": digest(source) if kind != "dataset" else str(source.resolve()),
+        "asked": {"views": settings.views, "repeats": settings.repeats, "box": None if settings.box is None else str(settings.box)}
+        | {"resolution": settings.resolution, "seed": settings.seed},
+        "machine": describe_machine(),
+        "notes": notes,
+    }
 
 
 def _known(opened: Field | Scene | None) -> dict[str, Any]:

@@ -151,9 +151,9 @@ def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda out: (out / "about.json").write_text('{"version": 0}'), "no study's that this version reads"),
+        (lambda out: (out / "about.json").write_text('{"version": 0}'), "of another version of studies"),
         (lambda out: (out / "about.json").write_text("{"), "about.json"),
-        (lambda out: next((out / "rows").iterdir()).write_text("[]"), "no row of a study"),
+        (lambda out: next((out / "rows").iterdir()).write_text("[]"), "not a row of a study"),
         (lambda out: (out / "about.json").unlink(), "holds other results"),
     ],
 )
