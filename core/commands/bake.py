@@ -1,4 +1,4 @@
-"""`snerg bake`: a field inside a box to a scene."""
+"""`snerg bake`: bakes a field inside a box into a scene."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ def bake_scene(
     progress: Progress = silent,
     codec: CodecSettings = PNG,
 ) -> Result:
-    """Bake a field inside a box into a scene (JAX), then refine its view-dependence network on the training images.
+    """Bake a field inside a box into a scene (JAX), then fine-tune its view-dependence network on the training images.
 
-    box: a JSON file (see Box.from_json); all that the field holds when None. Raises SnergError on bad input, and for settings
+    box: a JSON file (see Box.from_json); the field's whole domain when None. Raises SnergError on bad input, and for settings
     that change nothing in this field; Cancelled when `progress` does. Then `out` is as it was, and what is finished lies in a
-    folder beside it (.NAME.bake), from which the same bake goes on when it is started again.
+    folder beside it (.NAME.bake), from which the same bake resumes.
     """
     check_out(out, "scene", field)
     check_storable(settings.quantise, codec)
@@ -67,11 +67,11 @@ def check_settings(settings: BakeSettings, field: Field) -> None:
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
     if not settings.visibility and not field.cameras:
-        raise SnergError("The field knows no cameras, so that all of it is kept in any case; bake it without --no-visibility.")
+        raise SnergError("The field has no cameras, so that nothing is culled; bake it without --no-visibility.")
 
 
 def images_to_refine_on(field: Field) -> Dataset | None:
-    """The images that the field was trained on, or None where there is nothing to refine or it was imported."""
+    """The training images of a field; None for a diffuse field, and for an imported one. Raises SnergError where they are missing."""
     if field.network is None or not field.dataset:
         return None
     if not Path(field.dataset).exists():

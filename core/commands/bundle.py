@@ -1,4 +1,4 @@
-"""`snerg bundle`: a scene as a web page."""
+"""`snerg bundle`: writes a scene as a web page."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def bundle_scene(
     progress: Progress = silent,
     codec: CodecSettings | None = None,
 ) -> Result:
-    """Write a web page that shows a scene: a folder for any static server, or one .html when `single_file`.
+    """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
     cameras: a transforms file whose cameras the page lists. codec: of the scene's pictures; the scene's own when None.
     """

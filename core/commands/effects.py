@@ -1,4 +1,4 @@
-"""`snerg effects`: which optional effects a dataset, a field or a scene calls for, and why."""
+"""`snerg effects`: the optional effects of a dataset, a field or a scene, with the evidence for each."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .options import path as path_argument
 
 
 def effects(path: Path, progress: Progress = silent) -> Result:
-    """{"kind", "path", "effects"}: each optional effect of a dataset, field, checkpoint or scene, as Effect.to_json.
+    """The optional effects of what is at a path: {"kind", "path", "effects": values of Effect.to_json}.
 
-    Raises SnergError when it is none of these, or its images cannot be read.
+    Raises SnergError when it is not a dataset, field, checkpoint or scene, or its images cannot be read.
     """
     kind = kind_of(path)
     return {"kind": kind, "path": str(path), "effects": [effect.to_json() for effect in _found(path, kind, progress)]}
@@ -34,7 +34,7 @@ def _found(path: Path, kind: str, progress: Progress) -> list[Effect]:
 
 
 def effects_text(result: Result) -> str:
-    """The effects for people, a paragraph each."""
+    """The effects in words, two lines each. result: of `effects`."""
     lines = []
     for value in result["effects"]:
         effect = Effect.from_json(value)

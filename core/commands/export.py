@@ -1,4 +1,4 @@
-"""`snerg export`: a scene in the published layout."""
+"""`snerg export`: writes a scene in the reference PNG layout."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
 
 
 def published(scene: Path) -> Scene:
-    """A baked scene to publish. Raises SnergError where it takes a file from elsewhere, through a link."""
+    """The baked scene at a path. Raises SnergError where one of its files is a link to another folder."""
 
     def read() -> Scene:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's

@@ -1,4 +1,4 @@
-"""`snerg render`: a scene from cameras to pictures."""
+"""`snerg render`: renders a scene from cameras into images."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def render_views(
     progress: Progress = silent,
     settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
-    """March a scene from each camera of a transforms file into PNGs with straight alpha, one a camera.
+    """Render a scene from each camera of a transforms file into PNG files with straight alpha.
 
-    width, height: pixels, in place of the cameras' own; with one of them the other keeps the shape. Raises SnergError on
+    width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. Raises SnergError on
     bad input, Cancelled when `progress` does; then `out` is as it was.
     """
     check_out(out, "pictures", scene, cameras)
@@ -60,7 +60,7 @@ def render_views(
 
 
 def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
-    """The camera at another size in pixels; one side alone keeps the shape."""
+    """The camera with another size in pixels; with one side alone the aspect ratio is kept."""
     if width is None and height is None:
         return camera
     if height is None:
@@ -71,7 +71,7 @@ def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """A plain file name a camera, numbered where they would collide."""
+    """A file name for each camera without special characters, numbered where two would be the same."""
     plain = [re.sub(r"[^\w.-]+", "_", name).strip("._") for name in names]
     if all(plain) and len({name.lower() for name in plain}) == len(plain):
         return plain

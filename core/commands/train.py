@@ -1,4 +1,4 @@
-"""`snerg train`: a dataset to a field."""
+"""`snerg train`: trains a field on a dataset."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def train_field(
 
 
 def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
-    """What there is to say of a training."""
+    """The result of `train_field`."""
     about = field.about
     return {
         "field": str(out),
@@ -82,7 +82,7 @@ def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
 
 
 def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int, values: Mapping[str, str]) -> TrainSettings:
-    """A preset with some settings changed. Raises SnergError on a name or a value that there is not."""
+    """The settings of a preset with other values. Raises SnergError on unknown names and wrong values."""
     if preset not in PRESETS:
         raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
     settings = replace(PRESETS[preset], seed=seed)
