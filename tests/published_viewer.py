@@ -1,6 +1,6 @@
-"""What the published web viewer shows of a scene in the reference layout, restated with NumPy from its rules.
+"""The published web viewer, reimplemented with NumPy from its code: an oracle for scenes in the reference layout.
 
-Reads the files itself and shares nothing with core, so that a mistake made twice there does not agree with itself here.
+It reads the files itself and shares no code with core, so that a mistake in core cannot hide by being repeated here.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ BLOCK, CELL, EMPTY = 30, 32, 254
 
 
 class PublishedViewer:
-    """A scene folder as the viewer holds it: 3D textures [X, Y, Z, C] in [0, 1], the index, the numbers."""
+    """A scene folder in the viewer's form: 3D textures [X, Y, Z, C] in [0, 1], the atlas indices and the parameters."""
 
     def __init__(self, folder: Path) -> None:
         self.params = p = json.loads((folder / "scene_params.json").read_text())
@@ -39,7 +39,7 @@ class PublishedViewer:
         self.mip = mip
 
     def texture(self, folder: Path, name: str) -> np.ndarray:
-        """The viewer indexes four bytes a pixel and uploads row by row."""
+        """A texture [X, Y, Z, 4] in [0, 1] from its slices. The viewer reads them as four bytes a pixel, so that other modes fail."""
         width, height, depth = self.atlas_size
         planes = []
         for number in range(self.params["num_slices"]):
@@ -52,9 +52,10 @@ class PublishedViewer:
     def show(
         self, camera_to_viewer: np.ndarray, size: tuple[int, int], fov_degrees: float, near: float = 0.33, fault: bool = True
     ) -> np.ndarray:
-        """[H, W, 3] in [0, 1] from a camera in the viewer's own world: OpenGL pose [4, 4], (width, height), vertical field of view.
+        """The image [H, W, 3] in [0, 1] of a camera in the viewer's world.
 
-        fault: leave in what it computes wrongly of NDC rays, whose origins are origin * t + direction.
+        camera_to_viewer: [4, 4] OpenGL pose. size: (width, height) in pixels. fov_degrees: vertical field of view. near: distance
+        of the near plane. fault: reproduce the viewer's mistake with NDC rays, whose origins are origin * t + direction.
         """
         width, height = size
         scale = np.tan(np.radians(fov_degrees) / 2)
@@ -65,14 +66,14 @@ class PublishedViewer:
         rays = local @ camera_to_viewer[:3, :3].T
         start = camera_to_viewer[:3, 3] + near * rays  # on the near plane
         directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-        looking = directions
+        view_directions = directions
         if self.params["ndc"]:
-            start, directions = self.device(start * [1, 1, -1], directions * [1, 1, -1], fault)
+            start, directions = self.ndc_rays(start * [1, 1, -1], directions * [1, 1, -1], fault)
             near = 0.0
-        return self.march(start, directions, near, looking).reshape(height, width, 3)
+        return self.march(start, directions, near, view_directions).reshape(height, width, 3)
 
-    def device(self, origins: np.ndarray, directions: np.ndarray, fault: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Rays with z turned round to NDC with z turned round; x comes out turned round too."""
+    def ndc_rays(self, origins: np.ndarray, directions: np.ndarray, fault: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Rays with z reversed to rays in NDC with z reversed; x is reversed too. Origins and directions are [N, 3]."""
         t = (-(1 + origins[:, 2]) / directions[:, 2])[:, None]
         ox, oy, oz = (origins * t + directions if fault else origins + directions * t).T
         dx, dy, dz = directions.T
@@ -82,15 +83,16 @@ class PublishedViewer:
         along = np.stack([x * (dx / dz - ox / oz), y * (dy / dz - oy / oz), 2 / oz], axis=-1)
         return start, along / np.linalg.norm(along, axis=-1, keepdims=True)
 
-    def march(self, origins: np.ndarray, directions: np.ndarray, near: float, looking: np.ndarray) -> np.ndarray:
+    def march(self, origins: np.ndarray, directions: np.ndarray, near: float, view_directions: np.ndarray) -> np.ndarray:
+        """Colours [N, 3] in [0, 1] of rays in viewer units, over white."""
         origin = (origins - self.low) / self.voxel
-        enters, leaves = slab(origin, directions, np.zeros(3), self.grid)
-        t = np.maximum(near / self.voxel, enters) + 0.5
+        entry, end = slab(origin, directions, np.zeros(3), self.grid)
+        t = np.maximum(near / self.voxel, entry) + 0.5
         count = len(origin)
-        colour, features, through = np.zeros((count, 3)), np.zeros((count, 4)), np.ones(count)
-        live = np.flatnonzero(enters < leaves)
+        colour, features, transmittance = np.zeros((count, 3)), np.zeros((count, 4)), np.ones(count)
+        live = np.flatnonzero(entry < end)
         for _ in range(int(np.ceil(np.linalg.norm(self.grid)))):
-            live = live[(t[live] < leaves[live]) & (through[live] > 1 / 255)]
+            live = live[(t[live] < end[live]) & (transmittance[live] > 1 / 255)]
             if not len(live):
                 break
             position = origin[live] + t[live, None] * directions[live]
@@ -99,28 +101,30 @@ class PublishedViewer:
             empty = place[:, 0] > EMPTY
             _, exits = slab(origin[live[empty]], directions[live[empty]], BLOCK * block[empty], BLOCK * (block[empty] + 1))
             t[live[empty]] = exits + 0.5
-            self.composite(live[~empty], position[~empty] - BLOCK * block[~empty], place[~empty], colour, features, through)
+            self.composite(live[~empty], position[~empty] - BLOCK * block[~empty], place[~empty], colour, features, transmittance)
             t[live[~empty]] += 1
-        result = colour + through[:, None]
+        result = colour + transmittance[:, None]
         if self.diffuse:
             return np.clip(result, 0, 1)
-        seen = through <= 254 / 255
-        result[seen] += self.network(result[seen], features[seen], looking[seen] @ self.view.T)
+        seen = transmittance <= 254 / 255
+        result[seen] += self.network(result[seen], features[seen], view_directions[seen] @ self.view.T)
         return np.clip(result, 0, 1)
 
-    def composite(self, rays, local, place, colour, features, through) -> None:
-        position = CELL * place + 1 + local  # in texels of the atlas
+    def composite(self, rays, local, place, colour, features, transmittance) -> None:
+        """Add a sample of each of some rays in place. local: [M, 3] voxels from the macroblock's corner; place: [M, 3] its cell."""
+        position = CELL * place + 1 + local  # texels of the atlas
         keep = self.mip[tuple(np.floor(position / 4).astype(int).T)] > 0
         rays, position = rays[keep], position[keep]
         alpha = linear(self.alpha[..., None], position)[:, 0]
         keep = alpha > 0.5 / 255
         rays, position, alpha = rays[keep], position[keep], alpha[keep]
-        colour[rays] += through[rays, None] * linear(self.rgb, position)
+        colour[rays] += transmittance[rays, None] * linear(self.rgb, position)
         if self.features is not None:
-            features[rays] += through[rays, None] * linear(self.features, position)
-        through[rays] *= 1 - alpha
+            features[rays] += transmittance[rays, None] * linear(self.features, position)
+        transmittance[rays] *= 1 - alpha
 
     def network(self, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """The view-dependent colours [N, 3] from diffuse colours [N, 3], features [N, 4] and view directions [N, 3]."""
         scaled = [2.0**k * directions for k in range(4)]
         x = np.concatenate([directions, *(np.sin(s) for s in scaled), *(np.sin(s + np.pi / 2) for s in scaled), colour, features], axis=-1)
         for layer in range(3):
@@ -130,7 +134,7 @@ class PublishedViewer:
 
 
 def slab(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances at which rays enter and leave a box."""
+    """Distances [N] at which rays enter and leave a box."""
     with np.errstate(divide="ignore"):
         inverse = 1 / direction
     a, b = (low - origin) * inverse, (high - origin) * inverse
@@ -138,7 +142,7 @@ def slab(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.nd
 
 
 def linear(texture: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Trilinear look-up at texel coordinates [N, 3], clamped to the edge, texel centres at + 0.5."""
+    """Trilinear values [N, C] at positions [N, 3] in texels, clamped to the edge; texel centres are at + 0.5."""
     base = np.floor(position - 0.5).astype(int)
     fraction = position - 0.5 - base
     result = np.zeros((len(position), texture.shape[-1]))

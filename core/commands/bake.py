@@ -11,8 +11,8 @@ from ..baking.bake import BakeSettings, check_voxel_size
 from ..data.dataset import Dataset
 from ..data.load import read_dataset
 from ..errors import SnergError
-from ..export.codecs import CodecSettings
-from ..export.scene_files import PNG, check_storable, write_scene
+from ..export.codecs import PNG, CodecSettings
+from ..export.scene_files import check_storable, write_scene
 from ..geometry.box import Box
 from ..io.files import discard
 from ..io.lock import writes_out

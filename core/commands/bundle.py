@@ -8,8 +8,8 @@ from pathlib import Path
 from ..artifact import Result, kind_of
 from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
-from ..export.codecs import CodecSettings
-from ..export.scene_files import PNG, codec_of, is_current
+from ..export.codecs import PNG, CodecSettings
+from ..export.scene_files import codec_of, is_current
 from ..io.files import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.load import read_dataset
-from ..export.scene_files import PNG, codec_of, is_scene
+from ..export.codecs import PNG
+from ..export.scene_files import codec_of, is_scene
 from ..progress import Progress, silent
 from ..study.effects import Effect, of_dataset, of_field, of_scene
 from .command import Command

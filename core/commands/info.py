@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from ..artifact import Result, kind_of, open_field
 from ..data.load import read_dataset
 from ..errors import SnergError
-from ..export.reference import read_params, read_reference
+from ..export.reference import read_reference
+from ..export.reference_params import read_params
 from ..export.scene_files import codec_of, is_scene, read_scene
 from ..geometry.camera import Camera
 from ..io.files import folder_bytes, one_generation, read_json

@@ -1,1 +1,1 @@
-"""Files and web pages that a baked scene becomes."""
+"""Writes and reads baked scenes: scene folders, web pages, and the layout of the reference implementation."""

@@ -1,4 +1,4 @@
-"""Atlas cells to the pictures that hold them, and back (reference layout: four Z planes stacked in each picture)."""
+"""The atlas cut into slices, and put together again: a slice is four Z planes, one below the other, as in the reference layout."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..scene.blocks import CELL_VOXELS
 
-PLANES = 4  # Z planes a picture
-MAX_ATLAS_CELLS = 64  # along an axis: 2048 voxels, what every WebGL 2 device in use can hold
+SLICE_PLANES = 4  # Z planes a slice: the reference layout's
+MAX_ATLAS_CELLS = 64  # along an axis: 2048 voxels, the largest 3D texture that every WebGL 2 device in use supports
 
 
 def atlas_blocks(cells: int) -> tuple[int, int, int]:
-    """Cells along x, y and z of an atlas for that many cells: nearly a cube, none over 64, at least one.
+    """Cells along x, y and z of an atlas that holds `cells` cells: nearly a cube, from 1 to 64 along each axis.
 
-    Raises SnergError when no such atlas holds them.
+    Raises SnergError when there are more than 64^3 cells.
     """
     if cells > MAX_ATLAS_CELLS**3:
         raise SnergError(f"The scene has {cells} macroblocks; an atlas holds {MAX_ATLAS_CELLS**3}: bake at a lower resolution.")
@@ -29,8 +29,16 @@ def atlas_blocks(cells: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-def slices(cells: NDArray[Any], blocks: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
-    """The atlas as pictures uint8 [4 * atlas_height, atlas_width, C], in Z order; cell i at (i % bx, i / bx % by, ...)."""
+def slice_count(blocks: tuple[int, int, int]) -> int:
+    """How many slices an atlas of `blocks` cells along x, y and z has."""
+    return blocks[2] * CELL_VOXELS // SLICE_PLANES
+
+
+def atlas_slices(cells: NDArray[Any], blocks: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
+    """The slices of an atlas, in Z order: each uint8 [4 * height, width, C], height and width of the atlas in voxels.
+
+    cells: uint8 [M, 32, 32, 32, C]. blocks: cells along x, y and z; cell i lies at (i % bx, i // bx % by, i // (bx * by)).
+    """
     bx, by, bz = blocks
     n, c = CELL_VOXELS, cells.shape[-1]
     for iz in range(bz):
@@ -39,18 +47,21 @@ def slices(cells: NDArray[Any], blocks: tuple[int, int, int]) -> Iterator[NDArra
         layer[: len(part)] = part
         # [iy, ix, x, y, z, c] -> [z, iy, y, ix, x, c]
         planes = layer.reshape(by, bx, n, n, n, c).transpose(4, 0, 3, 1, 2, 5).reshape(n, by * n, bx * n, c)
-        for z in range(0, n, PLANES):
-            yield planes[z : z + PLANES].reshape(PLANES * by * n, bx * n, c)
+        for z in range(0, n, SLICE_PLANES):
+            yield planes[z : z + SLICE_PLANES].reshape(SLICE_PLANES * by * n, bx * n, c)
 
 
 def cells_from_slices(read: Callable[[int], NDArray[Any]], blocks: tuple[int, int, int], count: int, channels: int) -> NDArray[Any]:
-    """Undo `slices`: `read(i)` gives picture i; returns uint8 [count, 32, 32, 32, channels]."""
+    """The cells of an atlas, uint8 [count, 32, 32, 32, channels]: the inverse of `atlas_slices`.
+
+    read: from an index to that slice, uint8 [4 * height, width, channels]; called in order. blocks: cells along x, y and z.
+    """
     bx, by, bz = blocks
     n = CELL_VOXELS
     cells = np.empty((bx * by * bz, n, n, n, channels), np.uint8)
     for iz in range(bz):
-        pictures = [read(iz * n // PLANES + k) for k in range(n // PLANES)]
-        planes = np.concatenate([p.reshape(PLANES, by * n, bx * n, channels) for p in pictures])
+        slices = [read(iz * n // SLICE_PLANES + k) for k in range(n // SLICE_PLANES)]
+        planes = np.concatenate([pixels.reshape(SLICE_PLANES, by * n, bx * n, channels) for pixels in slices])
         layer = planes.reshape(n, by, n, bx, n, channels).transpose(1, 3, 4, 2, 0, 5)
         cells[iz * bx * by : (iz + 1) * bx * by] = layer.reshape(by * bx, n, n, n, channels)
     return cells[:count]

@@ -46,7 +46,7 @@ class Outcome:
             return cls("failed", error=str(error))
         if isinstance(error, MemoryError):
             return cls("failed", error=OUT_OF_MEMORY)
-        sentence = f"Something went wrong that should not ({type(error).__name__}: {error}); please report it with the console's text."
+        sentence = f"An unexpected error occurred ({type(error).__name__}: {error}); please report it with the console's text."
         return cls("failed", error=sentence)
 
 

@@ -22,9 +22,8 @@ from ..baking.resume import THREADS
 from ..baking.supersampling import average_in_voxels, measure_supersampling
 from ..baking.visibility import visibility_camera
 from ..errors import SnergError
-from ..export.atlas import atlas_blocks, slices
-from ..export.codecs import pictures_of
-from ..export.scene_files import PNG
+from ..export.atlas import atlas_blocks, atlas_slices
+from ..export.codecs import PNG, images_of_slice
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays
@@ -280,7 +279,7 @@ def _measure_rates(
     visibility, preview, acceleration_block = _time_marching(small, views)
     preview_samples, preview_growth = sample_growth(small, coarser, views, MarchSettings())
     visibility_samples, visibility_growth = sample_growth(small, coarser, views, VISIBILITY_MARCH)
-    images = (image for part in slices(small.cells, atlas_blocks(len(small.cells))) for image in pictures_of(part, PNG).values())
+    images = (image for part in atlas_slices(small.cells, atlas_blocks(len(small.cells))) for image in images_of_slice(part, PNG).values())
     return Rates(
         compile=compile_seconds,
         block_voxel=_time_blocks(field, grid, query),

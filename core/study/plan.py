@@ -10,8 +10,7 @@ from typing import Any
 
 from ..baking.bake import AUTO_SUPERSAMPLING, BAKE_VERSION, BakeSettings
 from ..errors import SnergError
-from ..export.codecs import CodecSettings
-from ..export.scene_files import PNG
+from ..export.codecs import PNG, CodecSettings
 from ..io.files import json_bytes
 from ..rendering.render import MarchSettings
 

@@ -20,7 +20,9 @@ from ..baking.bake_field import bake_field
 from ..baking.fine_tune import RefineSettings, refine
 from ..data.dataset import Dataset
 from ..errors import SnergError
-from ..export.scene_files import LARGEST, PNG, read_scene, write_scene
+from ..export.codecs import PNG
+from ..export.scene_files import read_scene, write_scene
+from ..export.scene_json import MAX_WEIGHT
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.files import folder_bytes, json_bytes, read_json, write_arrays, write_bytes
@@ -285,7 +287,7 @@ def _read_refined(path: Path) -> tuple[ViewNetwork, float]:
     """A fine-tuned network and the seconds that it took, from an earlier run. Raises SnergError where the file is damaged."""
     with reading(path, "delete it to have it made again"):
         kept = read_arrays(path, 2**20)
-        arrays = [numbers(kept[name], name, shape, LARGEST) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True)]
+        arrays = [numbers(kept[name], name, shape, MAX_WEIGHT) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True)]
         return ViewNetwork(*(array.astype(np.float32) for array in arrays)), float(kept["seconds"])
 
 

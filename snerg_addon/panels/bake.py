@@ -38,5 +38,5 @@ class SNERG_PT_bake(StepPanel, bpy.types.Panel):
         if project.has("scene"):
             note = project.notes().get("scene", {})
             blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
-            draw_box(layout, joined(decibels(note), blocks, megabytes(note)) or "Imported", *made_with(project, "scene"))
+            draw_box(layout, joined(decibels(note), blocks, megabytes(note)), *made_with(project, "scene"))
         draw_versions(layout, project, "scene")

@@ -33,7 +33,7 @@ class SNERG_PT_field(StepPanel, bpy.types.Panel):
             draw_box(layout, curve.bars, *curve_texts(curve))
         if project.has("field"):
             note = project.notes().get("field", {})
-            draw_box(layout, joined(decibels(note), steps_text(note), megabytes(note)) or "Imported", *made_with(project, "field"))
+            draw_box(layout, joined(decibels(note), steps_text(note), megabytes(note)), *made_with(project, "field"))
             for decision in note.get("decisions", []):
                 draw_decision(layout, decision)
         draw_versions(layout, project, "field")

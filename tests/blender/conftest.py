@@ -24,7 +24,7 @@ def addon() -> Iterator[None]:
 
 @pytest.fixture
 def scene(addon: None, tmp_path: Path) -> Any:
-    """An empty scene with a white world, set to render quickly, whose project lies in a folder of the test's own."""
+    """An empty scene with a white world and fast render settings, whose project is in the test's temporary folder."""
     emptied = (bpy.data.objects, bpy.data.collections, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights)
     for things in (*emptied, bpy.data.images):
         for thing in list(things):

@@ -1,4 +1,4 @@
-"""The box: exactly what Blender draws, or a sentence; and none at all once it was deleted."""
+"""The box is exactly what Blender draws, or an error; a deleted box is no box."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TURNED = (0.3, -0.5, 0.8)
 
 
 def add_empty(name: str, parent: Any = None, scale: Any = (1, 1, 1), rotation: Any = (0, 0, 0), display_size: float = 1.0) -> Any:
-    """An empty at (1, 2, 3) of its parent."""
+    """An empty at (1, 2, 3) in its parent's space."""
     empty = bpy.data.objects.new(name, None)
     bpy.context.scene.collection.objects.link(empty)
     empty.empty_display_type, empty.empty_display_size = "CUBE", display_size
@@ -32,7 +32,7 @@ def add_empty(name: str, parent: Any = None, scale: Any = (1, 1, 1), rotation: A
 
 
 def drawn_corners(empty: Any) -> np.ndarray:
-    """[8, 3] where Blender draws the corners of a cube empty: those of a mesh cube of its size that hangs on it."""
+    """The corners [8, 3] of a cube empty as Blender draws them, taken from a mesh cube of the same size that is its child."""
     size = empty.empty_display_size
     mesh = bpy.data.meshes.new("Cube")
     mesh.from_pydata([(x, y, z) for x in (-size, size) for y in (-size, size) for z in (-size, size)], [], [])
@@ -64,7 +64,7 @@ def test_a_box_without_shear_is_where_it_is_drawn(scene, parent, child):
 
 
 def test_a_sheared_box_is_refused(scene):
-    """Turned under a parent of uneven scale, the cube is no box any more."""
+    """A rotated cube whose parent is scaled unevenly is sheared, and no box."""
     empty = add_empty("Leaning", add_empty("Parent", scale=(3, 1, 0.5)), rotation=TURNED)
     with pytest.raises(SnergError, match="Leaning: The box is sheared"):
         box_from_blender(empty, evaluated(scene))
@@ -74,7 +74,7 @@ def test_a_sheared_box_is_refused(scene):
 
 
 def test_a_box_that_was_deleted_is_none(scene):
-    """The scene's own setting keeps the data-block of an object that X deleted."""
+    """The scene's setting keeps the data-block of an object alive that X deleted."""
     assert bpy.ops.snerg.add_box() == {"FINISHED"}
     assert box_to_bake(bpy.context, project_of(scene)) is not None and SNERG_PT_box.is_done(None, bpy.context)
     bpy.ops.object.delete()

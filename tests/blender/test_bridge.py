@@ -1,4 +1,4 @@
-"""Blender's objects and core's dataclasses say the same thing, both ways."""
+"""Conversion between Blender's objects and core's dataclasses, in both directions."""
 
 from __future__ import annotations
 

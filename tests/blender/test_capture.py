@@ -23,7 +23,7 @@ from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset
 
 
 def every_setting(thing, path="", depth=0):
-    """{path: value} of all that can be read of a Blender struct and of the structs that it owns."""
+    """{path: value} of all readable properties of a Blender struct and of the structs that it owns."""
     found = {}
     for prop in thing.bl_rna.properties:
         if prop.identifier in ("rna_type", "is_evaluated", "bindings"):
@@ -42,7 +42,7 @@ def every_setting(thing, path="", depth=0):
 
 
 def state(scene):
-    """Everything of the scene that rendering could touch, and the names of all data."""
+    """All properties of the scene that rendering could change, and the names of all data-blocks."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # what Blender is going to remove is still the artist's
         settings = every_setting(scene)
@@ -52,7 +52,7 @@ def state(scene):
 
 
 def odd_settings(scene):
-    """Settings that a capture must not use, and must not lose."""
+    """Settings that rendering a dataset must neither use nor change."""
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Punchy"
     scene.view_settings.exposure, scene.view_settings.gamma = 1.5, 1.4
@@ -120,7 +120,7 @@ def test_the_files_are_what_any_nerf_tool_reads(scene, tmp_path):
     "size, percentage, aspect", [((333, 77), 37, (1.0, 1.0)), ((77, 333), 41, (1.0, 1.0)), ((120, 90), 100, (1.0, 1.7))]
 )
 def test_a_spot_is_rendered_where_the_camera_says(scene, tmp_path, size, percentage, aspect):
-    """The last word on projection: resolutions that a percentage does not divide are rounded by the renderer."""
+    """The renderer rounds resolutions that the percentage does not divide, and the projection must agree with it."""
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, percentage
     render.pixel_aspect_x, render.pixel_aspect_y = aspect
@@ -156,7 +156,7 @@ def test_the_rig_renders_from_where_it_says(scene, tmp_path):
 
 
 def stop_after(views):
-    """Progress that stops a rendering after so many views."""
+    """A `Progress` that raises Cancelled after a number of views."""
 
     def stop(fraction: float, message: str) -> None:
         if message.startswith(f"View {views + 1} "):
@@ -170,7 +170,7 @@ def refuse_all(fraction: float, message: str) -> None:
 
 
 def test_stopping_leaves_the_scene_as_it_was_and_keeps_the_views(scene, odd, tmp_path):
-    """What is there is a dataset; rendering again renders the rest, and the whole is as if nothing had happened."""
+    """The views so far are a dataset; the next rendering adds the rest, and the result equals an uninterrupted one."""
     add_plane()
     shots = [add_camera(f"Camera {index}", (0, 0, 4 + index)) for index in range(4)]
     render_dataset(scene, shots, tmp_path / "whole", CaptureSettings(test_every=2))

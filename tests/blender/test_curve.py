@@ -1,4 +1,4 @@
-"""What the panel says of a training: its curve, whether it can go on, and what it decided."""
+"""What the field panel shows of a training: its curve, and whether it can be continued."""
 
 from __future__ import annotations
 

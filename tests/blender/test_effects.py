@@ -1,4 +1,4 @@
-"""Only the effects that a scene calls for, end to end: a matte scene and a mirror-like one, made, trained, baked and bundled."""
+"""A matte scene and a mirror-like one, from rendering to the web page: each gets only the effects that it needs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STEPS = 1200
 
 
 def rendered(out: Path, metallic: float, roughness: float, specular: float) -> Path:
-    """The demo's objects, all of one finish, before 40 cameras."""
+    """The demo's objects, all with the same roughness, and 40 cameras."""
     sys.path.insert(0, str(ROOT / "demo"))
     try:
         from build_scene import build
@@ -47,7 +47,7 @@ def rendered(out: Path, metallic: float, roughness: float, specular: float) -> P
 
 
 def trained(dataset: Path, out: Path, steps: int = STEPS, **values: str) -> str:
-    """Train; returns what was decided on view dependence."""
+    """Train, and return the decision on view dependence."""
     steadied = {"average": "0.4", **values}  # so short a training is else a matter of its seed, by 0.03 dB
     decisions = train_field(dataset, out, steps=steps, values=steadied)["decisions"]
     return next((str(d["chosen"]) for d in decisions if d["effect"] == EFFECT), "")
@@ -75,7 +75,7 @@ def test_a_matte_scene_carries_nothing_for_view_dependence(scene, tmp_path):
 
 
 def frame_seconds(scene: Path, dataset: Path) -> float:
-    """Of the quickest of some frames."""
+    """The time of the fastest of several frames."""
     snerg, camera = open_scene(scene), read_dataset(dataset, "test").cameras[0].resized(400, 400)
     found = []
     for _ in range(6):

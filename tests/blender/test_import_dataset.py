@@ -1,4 +1,4 @@
-"""A capture opened in Blender: cameras that see what the photographs' did, their pictures, the points and the box."""
+"""Importing photographs: cameras with the same projection, their images as backgrounds, the points and the box."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from snerg.snerg_addon.project import project_of
 
 
 def looking(angle: float, height: float = 1.0) -> np.ndarray:
-    """[4, 4] the pose of a camera 4 units from the z axis that looks at it, upright."""
+    """The pose [4, 4] of an upright camera that looks at the z axis from 4 units away."""
     position = np.array([4 * np.cos(angle), 4 * np.sin(angle), height])
     z = position / np.linalg.norm(position)
     x = np.cross([0, 0, 1], z)
@@ -35,7 +35,7 @@ def looking(angle: float, height: float = 1.0) -> np.ndarray:
 
 
 def write_capture(folder: Path, count: int = 9, width: int = 30, height: int = 40, **more: Any) -> Path:
-    """A nerfstudio-like dataset: portrait pictures, centre and pixels off square, and what `more` says."""
+    """A dataset as nerfstudio writes it, with portrait images, an off-centre principal point, non-square pixels, and `more`."""
     (folder / "images").mkdir(parents=True)
     frames = []
     for i in range(count):
@@ -94,7 +94,7 @@ def test_the_box_the_dataset_and_the_view_are_set(scene, tmp_path):
 
 
 def test_one_undo_takes_it_back(scene, tmp_path):
-    """The scene is touched in one go, by an operator that Blender can undo."""
+    """The scene is changed all at once, by an operator that Blender can undo."""
     assert "UNDO" in bpy.types.SNERG_OT_import_dataset.bl_options
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "collections", "cameras", "images")}
     (tmp_path / "broken").mkdir()
@@ -113,7 +113,7 @@ def test_what_blender_cannot_show_is_said(scene, tmp_path, capfd):
 
 
 def test_pictures_of_other_sizes_keep_their_width(scene, tmp_path):
-    """The scene has one size; through another camera, the picture is as wide as the view, whatever its height."""
+    """A scene has one resolution; the background of a camera with another one fills the width of its view."""
     folder = write_capture(tmp_path / "capture")
     value = json.loads((folder / "transforms.json").read_text())
     for index, (width, height) in ((1, (40, 30)), (2, (20, 40))):
@@ -202,7 +202,7 @@ def test_real_captures_stand_upright_round_the_box(scene, data, name, size, view
 
 
 def test_a_chosen_dataset_is_kept_relative_to_the_file(scene, tmp_path):
-    """So that a folder that is moved or copied with its .blend finds its photographs."""
+    """A folder that is moved or copied together with its .blend finds its photographs."""
     folder = write_capture(tmp_path / "work" / "photos")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work" / "a.blend"), check_existing=False)
     try:

@@ -1,4 +1,4 @@
-"""Jobs that outlive the window: started beside everything else, found again, taken in once; datasets that render beside the window."""
+"""Jobs outlive the window: they are found again and finished once. Datasets render in a job while the window stays free."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def nothing_left():
 
 
 def until(true) -> None:
-    """Let the timer run until it is so."""
+    """Call the timer's function until the condition holds."""
     end = time.monotonic() + PATIENCE
     while True:
         watch.tick()
@@ -70,19 +70,19 @@ def until(true) -> None:
 
 
 def slow(go: Path, result: dict) -> Job:
-    """A job that ends with `result` when the file `go` is there."""
+    """A job that ends with `result` when the file `go` exists."""
     return Job([sys.executable, "-c", SLOW_JOB.format(go=str(go), result=result)], job_environment())
 
 
 def a_field(project) -> str:
-    """A new version of the field, as a training leaves it."""
+    """A new version of the field, as a training writes it."""
     version = project.new_version("field")
     (version / "field.npz").write_bytes(b"a field")
     return str(version)
 
 
 def an_operator(operator: str, work) -> type:
-    """An operator that starts `work`; its result is finished by the real operator of that name."""
+    """An operator class that starts the task `work`; the real operator of that name finishes it."""
 
     class Starts(task_operator.TaskOperator):
         bl_idname, step, label = operator, "field", "Training"
@@ -118,7 +118,7 @@ def test_the_panel_shows_what_goes_on_together_with_the_notes():
 
 
 def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
-    """Blender forgets everything, as when it closes; a second load of the file finds the job, then its result, then nothing more."""
+    """Blender forgets everything, as when it closes. Opening the file again finds the job, later its result, and then nothing more."""
     project = project_of(scene)
     launch("snerg.train", slow(tmp_path / "go", {"psnr": 30.0, "field": a_field(project)}))
     activity.stop()
@@ -140,7 +140,7 @@ def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
 
 
 def test_every_status_bar_shows_it_and_nothing_is_left_behind(scene):
-    """What is drawn is asked for each time, in every workspace; no text is set that would have to be taken back."""
+    """The status bar's draw function runs at each redraw, in every workspace; it sets no text that would have to be cleared."""
     header = bpy.types.STATUSBAR_HT_header
     assert watch.draw_status in header.draw._draw_funcs
     watch.unregister()
@@ -180,7 +180,7 @@ def test_the_same_is_not_started_twice(scene, tmp_path):
 
 
 def test_training_can_be_started_behind_the_dataset_that_it_needs(scene, tmp_path):
-    """And nothing else can: what a bake is asked depends on the field."""
+    """A bake cannot: its arguments depend on the field."""
     assert not bpy.ops.snerg.train.poll() and not bpy.ops.snerg.bake.poll()
     work = slow(tmp_path / "go", {})
     begun = activity.Activity("dataset", "Rendering", work, "snerg.render_dataset", project_of(scene).folder, scene.name)
@@ -217,7 +217,7 @@ def test_what_blender_does_itself_ends_with_its_scene(scene, tmp_path):
 
 
 def test_an_operator_that_blender_made_starts_a_job_which_its_class_finishes(scene):
-    """Blender gives instances another bl_idname than their class: a job goes by the one that finds the class again."""
+    """Blender gives instances another bl_idname than their class; a job's record holds the one of the class."""
 
     class SNERG_OT_launch(bpy.types.Operator):
         bl_idname, bl_label, step, label = "snerg.launch", "Launch", "field", "Training"
@@ -263,7 +263,7 @@ def five_cameras(scene):
 
 
 def job_of(scene, goes_on: bool = True) -> Job:
-    """What the operator starts where there is a window."""
+    """The job that the operator starts where there is a window."""
     settings = scene.snerg
     box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
     shots = rig_settings(bpy.context) if settings.cameras == "RIG" else chosen_shots(bpy.context)
@@ -271,7 +271,7 @@ def job_of(scene, goes_on: bool = True) -> Job:
 
 
 def test_a_dataset_renders_in_a_process_of_its_own_with_all_unsaved_changes(scene, tmp_path):
-    """The same bytes as in this process, although nothing was ever saved; nothing of the copy is left."""
+    """The dataset has the same bytes as one rendered in this process, although the file was never saved. The copy is deleted."""
     shots = five_cameras(scene)
     project = project_of(scene)
     render_dataset(scene, shots, tmp_path / "here", CaptureSettings(3))
@@ -285,13 +285,13 @@ def test_a_dataset_renders_in_a_process_of_its_own_with_all_unsaved_changes(scen
 
 @pytest.fixture
 def unsaved_again():
-    """The session as it was: a file that was never saved."""
+    """Restore the session afterwards: a file that was never saved."""
     yield
     bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
 
 
 def test_relative_paths_and_painted_pictures_reach_the_copy(scene, tmp_path, unsaved_again):
-    """A texture beside the file under a path that starts with //, and one that was painted and not saved."""
+    """One texture has a path that starts with //; another was painted and not saved."""
     saved = tmp_path / "work" / "file.blend"
     saved.parent.mkdir()
     picture = bpy.data.images.new("Beside", 4, 4)
@@ -335,7 +335,7 @@ def test_the_rig_renders_in_a_process_of_its_own(scene, tmp_path):
 
 
 def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int:
-    """Render with so many kills at random moments; each end must be as if there had been none. Returns how many views were kept in all."""
+    """Render with kills at random moments; the result must equal an uninterrupted one. Returns the number of views that were kept."""
     project, kept = project_of(scene), 0
 
     def check() -> None:
@@ -380,7 +380,7 @@ def test_fifty_killed_renderings(scene, tmp_path):
 
 
 def test_a_rendering_hears_that_it_shall_stop_in_the_middle_of_a_view(scene, tmp_path):
-    """A view that takes minutes does not keep the artist waiting; those before it are kept."""
+    """A rendering stops within seconds although a view takes minutes, and keeps the views before it."""
     shots = five_cameras(scene)
     scene.cycles.samples = 4096
     scene.render.resolution_x = scene.render.resolution_y = 1024

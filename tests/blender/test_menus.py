@@ -1,4 +1,4 @@
-"""Blender's search (F3) finds what a menu has: every operator of the add-on that an artist starts."""
+"""Blender's search (F3) finds operators that are in a menu: every operator of the add-on that an artist starts."""
 
 from __future__ import annotations
 

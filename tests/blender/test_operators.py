@@ -1,4 +1,4 @@
-"""What an artist can get wrong: one sentence, CANCELLED, and nothing half-written."""
+"""Mistakes of an artist give one sentence, CANCELLED, and no unfinished files; settings reach the command line."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
 
 @pytest.mark.slow
 def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
-    """The field is looked at once; from then on the panel follows the box, and a field that was written again has to be looked at."""
+    """The field is measured once, then the estimate follows the box; a new version of the field has to be measured again."""
     project = project_of(scene)
     assert estimate_panel.lines(bpy.context) == []
     train_field(dataset, project.field, steps=60)
@@ -106,7 +106,7 @@ def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
 
 @pytest.mark.slow
 def test_a_study_shows_its_pictures_in_blender(scene, dataset, monkeypatch):
-    """From a trained field to an image; the same settings go on with the same study."""
+    """A study gives an image; the same settings continue the same study."""
     project = project_of(scene)
     train_field(dataset, project.field, steps=60)
     scene.snerg.resolution, scene.snerg.study_minutes = 16, 1.0
@@ -209,7 +209,7 @@ def test_steps_end_as_jobs_do():
 
 
 def test_a_page_needs_no_cameras(scene, monkeypatch):
-    """It begins with a view of the whole box."""
+    """Without cameras the page starts with a view of the whole box."""
     assert "--cameras" not in started(monkeypatch, "export_web")
     scene.snerg.web_cameras = "SELECTED"
     with pytest.raises(SnergError, match="no camera selected"):

@@ -1,4 +1,4 @@
-"""Whose a project is: of one scene of one file, whatever is saved, copied, renamed, undone and opened in between."""
+"""A project belongs to one scene of one file, whatever is saved, copied, renamed, undone and opened in between."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from snerg.snerg_addon.project import project_of
 
 @pytest.fixture
 def fresh(scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A new file with something to render, as Blender opens it; returns a folder. What was never saved lies in a folder of the test's."""
+    """A new file with something to render. Returns a folder; projects of unsaved files are in the test's temporary folder too."""
     monkeypatch.setenv("BLENDER_USER_DATAFILES", str(tmp_path / "datafiles"))
     new_file()
     yield tmp_path
@@ -34,7 +34,7 @@ def fresh(scene: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 
 def new_file() -> Any:
-    """Blender's New File, with one camera over a square."""
+    """A new file with one camera above a square."""
     bpy.ops.wm.read_homefile(app_template="", use_empty=True)
     prepare()
     return bpy.context.scene
@@ -50,7 +50,7 @@ def prepare() -> None:
 
 
 def render() -> Path:
-    """Render a dataset; returns the project's folder."""
+    """Render a dataset, and return the project's folder."""
     assert bpy.ops.snerg.render_dataset() == {"FINISHED"}
     project = project_of(bpy.context.scene)
     assert project.has("dataset")
@@ -69,7 +69,7 @@ def load(path: Path) -> Any:
 
 
 def ours(scene: Any = None) -> bool:
-    """Whether the panel shows the scene a rendered dataset."""
+    """Whether the panel shows a rendered dataset for the scene."""
     return next_step(scene or bpy.context.scene) == "Next: train a field"
 
 
@@ -136,7 +136,7 @@ def test_an_unsaved_files_work_moves_beside_it_when_it_is_saved(fresh):
 
 
 def test_undo_loses_no_project(fresh):
-    """What an operator sets is no step of undo: an undo to before it takes the setting away, and not the work."""
+    """An undo restores the settings from before a dataset was rendered, but the scene keeps its project."""
     bpy.ops.ed.undo_push(message="before")
     folder = render()
     bpy.context.scene.objects[0].location.x += 1
@@ -243,7 +243,7 @@ def test_a_folder_that_the_artist_set_is_one_files_too(fresh):
 
 
 def test_a_file_of_an_earlier_version_is_read_where_its_work_lies(fresh):
-    """A file that stored its folder, as no file does that left it at its default."""
+    """A file of version 0.1 that stored its project folder; files with the default folder stored none."""
     scene = bpy.context.scene
     path = save(fresh / "a.blend")
     folder = render()
@@ -318,7 +318,7 @@ def test_undo_over_saving_and_moving(fresh):
 
 
 def test_a_project_moves_to_another_disk_whole(fresh, monkeypatch):
-    """Where a rename is not possible, files are copied; stopped on the way, the project is whole where it was, and moves the next time."""
+    """Where a rename is not possible, files are copied. If that fails, the project stays complete in its place, and moves the next time."""
     folder, real, flaws = render(), os.rename, [OSError(errno.ENOSPC, "No space left on device")]
     files = contents(folder)
 

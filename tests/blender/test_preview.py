@@ -1,4 +1,4 @@
-"""The preview: a thread marches, Blender shows what comes, the small picture first."""
+"""The preview renders in a thread; Blender shows each pass, the coarse one first."""
 
 from __future__ import annotations
 

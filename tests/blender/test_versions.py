@@ -1,4 +1,4 @@
-"""Versions: a result never takes an older one's place, and the artist says which is in use."""
+"""Versions: a result never replaces an earlier one, and the artist chooses which is in use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from snerg.snerg_addon.project import Project, project_of, remember
 
 
 def a_version(project: Project, step: str, psnr: float | None = None) -> Path:
-    """A new version as a job leaves it; taken in with its quality, or stopped where there is none."""
+    """A new version as a job writes it: finished with this PSNR, or stopped where psnr is None."""
     version = project.new_version(step)
     (version / {"field": "field.npz", "scene": "scene.json"}[step]).write_bytes(str(psnr).encode())
     if psnr is not None:

@@ -131,13 +131,13 @@ def test_a_scene_that_becomes_another_kind_while_it_is_bundled(tmp_path, monkeyp
     from snerg.core.export.codecs import CodecSettings
 
     write_scene(generation(1), tmp_path / "scene")
-    read = bundle.check_shown
+    read = bundle.check_showable
 
     def swapped(*args):
         read(*args)
         write_scene(generation(2), tmp_path / "scene", codec=CodecSettings("webp"))
 
-    monkeypatch.setattr(bundle, "check_shown", swapped)
+    monkeypatch.setattr(bundle, "check_showable", swapped)
     with pytest.raises(SnergError, match="another kind"):
         bundle_scene(tmp_path / "scene", tmp_path / "page")
     assert not (tmp_path / "page").exists()

@@ -1,4 +1,4 @@
-"""Parts of the viewer that need no browser, run by Node."""
+"""Modules of the viewer that need no browser, run by Node."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def node(script: str) -> Any:
     return json.loads(result.stdout)
 
 
-def test_png_bytes_arrive_as_they_were_written(tmp_path: Path) -> None:
-    """Every filter, and alpha so low that nothing premultiplied would survive a canvas."""
+def test_png_is_decoded_exactly(tmp_path: Path) -> None:
+    """Every filter, and alpha so low that a canvas, which premultiplies, would lose the colours."""
     draw = np.random.default_rng(2)
     for name, pixels in {
         "noise": draw.integers(0, 256, (37, 29, 4)),
@@ -49,7 +49,7 @@ def test_png_bytes_arrive_as_they_were_written(tmp_path: Path) -> None:
 
 
 @pytest.mark.hard_case(55)
-def test_layouts_keep_to_the_limit() -> None:
+def test_layouts_stay_within_the_texture_limit() -> None:
     cases = [(0, 256, 5), (1, 256, 5), (512, 256, 5), (513, 256, 5), (2560, 256, 5), (1000, 2048, 5), (262144, 2048, 5), (7, 64, 7)]
     layouts = node(f"""
         import {{ atlasLayout }} from "./atlas_layout.js";
@@ -113,7 +113,7 @@ def fill(template: str, values: dict[str, str]) -> str:
 
 
 def test_the_shader_has_the_placeholders_that_are_filled() -> None:
-    """march.glsl and ndc.glsl and shader.js name the same ones; that each kind of scene compiles is seen in the browser."""
+    """shader.js fills those of march.glsl and ndc.glsl; test_pictures.py compiles them for each kind of scene."""
     source = ROOT / "viewer" / "src"
     shader = (source / "shader.js").read_text(encoding="utf-8")
     for name in ("march", "ndc"):

@@ -1,4 +1,4 @@
-"""What people do with the page, and what it says when something is wrong."""
+"""The page's controls, and its error messages."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def near(shown: np.ndarray, expected: np.ndarray) -> bool:
 def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> None:
     assert opened(page, serve(made) + "?width=160&height=120&background=grey") is None
     first = truth(0)
-    snerg, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
-    assert near(picture(page), render_scene(snerg, camera).over((128 / 255,) * 3))
+    scene, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
+    assert near(picture(page), render_scene(scene, camera).over((128 / 255,) * 3))
     page.get_by_role("radio", name="White background").check()
     assert near(picture(page), first)
 
@@ -75,12 +75,14 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
 
 
 @pytest.mark.parametrize("word", ["constructor", "__proto__", "toString", "hasOwnProperty", "pink", ""])
-def test_any_word_may_stand_in_the_address(page: Page, made: Path, serve: Serve, word: str) -> None:
-    """Words that every object in JavaScript knows are no backgrounds, cameras or keys: the page is white and at its first camera."""
+def test_the_address_may_hold_any_word(page: Page, made: Path, serve: Serve, word: str) -> None:
+    """Names of properties that every JavaScript object has are no backgrounds, cameras or keys: the page shows the defaults."""
     assert opened(page, serve(made) + f"?width=80&height=60&background={word}&camera={word}&ui={word}") is None
     assert page.locator("[name=background][value=white]").is_checked()
     page.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{ key: {json.dumps(word)} }}))")
-    page.evaluate("document.querySelector('#canvas').dispatchEvent(new Event('keydown', { bubbles: true }))")  # a form that is filled in
+    page.evaluate(
+        "document.querySelector('#canvas').dispatchEvent(new Event('keydown', { bubbles: true }))"
+    )  # as when the browser fills in a form
     assert page.evaluate("window.snerg.problem") is None
 
 
@@ -95,7 +97,7 @@ def test_a_camera_may_have_any_name(page: Page, copied: Path, serve: Serve, name
 
 
 def test_a_level_camera_stays_where_it_is_when_touched(page: Page, made: Path, serve: Serve) -> None:
-    """The orbit starts at the camera's own view: a hair's turn there and back changes nothing."""
+    """The orbit starts at the camera's own view: a small turn and back changes nothing."""
     address = serve(made)
     for index in (0, 2, 4):
         camera = make_cameras()[index]
@@ -191,7 +193,7 @@ def test_a_damaged_picture_of_another_codec_is_named(
 
 
 def test_a_browser_that_hides_canvases_says_so(page: Page, tmp_path: Path, serve: Serve) -> None:
-    """Protection against fingerprinting gives noise in place of a canvas."""
+    """Protection against fingerprinting returns noise from a canvas."""
     page.add_init_script("""
         const noise = (x, y, w, h) => new ImageData(new Uint8ClampedArray(4 * w * h).fill(9), w);
         OffscreenCanvasRenderingContext2D.prototype.getImageData = noise;
@@ -201,7 +203,7 @@ def test_a_browser_that_hides_canvases_says_so(page: Page, tmp_path: Path, serve
     assert problem and "fingerprinting" in problem
 
 
-def test_a_camera_whose_lens_bends_says_so(page: Page, tmp_path: Path, serve: Serve) -> None:
+def test_a_camera_with_distortion_is_labelled(page: Page, tmp_path: Path, serve: Serve) -> None:
     plain = make_cameras()[0]
     bent = replace(plain, distortion=Distortion("opencv", (0.1,)), name="Phone")
     write_bundle(make_snerg(shape=(20, 20, 20)), [plain, bent], tmp_path / "web")

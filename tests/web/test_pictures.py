@@ -1,4 +1,4 @@
-"""The page's picture against the float64 march of the same camera: equal but for 8 bits."""
+"""The page's image against a float64 march of the same camera: equal within 8 bits."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ NAMES = [camera.name for camera in make_cameras()]
 FORWARD = [camera.name for camera in make_forward_cameras(make_frame())]
 
 
-def compare(page: Page, address: str, snerg: Scene, camera: Camera, name: str | int) -> None:
-    """The mean difference stays under half a level; nothing but pixels on the network's threshold differs visibly."""
+def compare(page: Page, address: str, scene: Scene, camera: Camera, name: str | int) -> None:
+    """The mean difference is below half a level; only pixels at the network's threshold may differ visibly."""
     assert opened(page, f"{address}?camera={name}&width={camera.width}&height={camera.height}") is None
     shown = picture(page)
-    for truth in (dense_march(snerg, camera).over(), render_scene(snerg, camera).over()):
+    for truth in (dense_march(scene, camera).over(), render_scene(scene, camera).over()):
         difference = np.abs(shown - truth)
         assert difference.mean() < 0.5 / 255
         assert np.mean(difference.max(axis=-1) < 2 / 255) > 0.999
@@ -51,17 +51,17 @@ def compare(page: Page, address: str, snerg: Scene, camera: Camera, name: str | 
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Scene, str, Path]:
-    snerg = make_snerg(angles=TURNED)
+    scene = make_snerg(angles=TURNED)
     folder = tmp_path_factory.mktemp("turned") / "web"
-    write_bundle(snerg, make_cameras(), folder)
-    return snerg, serve(folder), folder
+    write_bundle(scene, make_cameras(), folder)
+    return scene, serve(folder), folder
 
 
 @pytest.mark.hard_case(10, 33, 34, 36, 37, 41, 42, 43)
 @pytest.mark.parametrize("index", range(len(NAMES)), ids=NAMES)
 def test_turned_box(page: Page, turned: tuple[Scene, str, Path], index: int) -> None:
-    snerg, address, _ = turned
-    compare(page, address, snerg, make_cameras()[index], index)
+    scene, address, _ = turned
+    compare(page, address, scene, make_cameras()[index], index)
 
 
 @pytest.mark.parametrize(
@@ -69,34 +69,34 @@ def test_turned_box(page: Page, turned: tuple[Scene, str, Path], index: int) -> 
 )
 @pytest.mark.hard_case(6)
 def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tuple[float, float, float], size: float) -> None:
-    snerg = make_snerg(angles=TURNED, centre=centre, size=size)
+    scene = make_snerg(angles=TURNED, centre=centre, size=size)
     cameras = make_cameras(centre, size)
-    write_bundle(snerg, cameras, tmp_path / "web")
+    write_bundle(scene, cameras, tmp_path / "web")
     address = serve(tmp_path / "web")
     for index in (0, 2):
-        compare(page, address, snerg, cameras[index], index)
+        compare(page, address, scene, cameras[index], index)
     page.mouse.move(60, 60)
     page.mouse.down()
     page.mouse.move(90, 60, steps=3)
     page.mouse.up()
     moved = picture(page)
-    assert np.abs(moved - render_scene(snerg, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.abs(moved - render_scene(scene, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
 
 
 @pytest.fixture(scope="module")
 def forward(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> tuple[Scene, str]:
-    snerg = make_forward()
+    scene = make_forward()
     folder = tmp_path_factory.mktemp("forward") / "web"
-    write_bundle(snerg, make_forward_cameras(make_frame(), 160, 120), folder)
-    return snerg, serve(folder)
+    write_bundle(scene, make_forward_cameras(make_frame(), 160, 120), folder)
+    return scene, serve(folder)
 
 
 @pytest.mark.hard_case(9, 33, 34)
 @pytest.mark.parametrize("index", range(len(FORWARD)), ids=FORWARD)
 def test_forward_facing(page: Page, forward: tuple[Scene, str], index: int) -> None:
-    snerg, address = forward
-    compare(page, address, snerg, make_forward_cameras(make_frame(), 160, 120)[index], index)
+    scene, address = forward
+    compare(page, address, scene, make_forward_cameras(make_frame(), 160, 120)[index], index)
 
 
 @pytest.mark.hard_case(6)
@@ -105,20 +105,20 @@ def test_forward_facing_at_any_place_and_size(
     page: Page, tmp_path: Path, serve: Serve, scale: float, position: tuple[float, float, float]
 ) -> None:
     """Without cameras the page opens at the frame; it turns with the mouse and keeps the scene."""
-    snerg = make_forward(True, scale, position)
-    write_bundle(snerg, (), tmp_path / "web")
+    scene = make_forward(True, scale, position)
+    write_bundle(scene, (), tmp_path / "web")
     camera = replace(make_forward_cameras(make_frame(scale, position), 160, 122)[0], focal=(128, 128))  # pixels are square
-    compare(page, serve(tmp_path / "web"), snerg, camera, 0)
+    compare(page, serve(tmp_path / "web"), scene, camera, 0)
     page.mouse.move(60, 60)
     page.mouse.down()
     page.mouse.move(70, 62, steps=3)
     page.mouse.up()
     moved = picture(page)
-    assert np.abs(moved - render_scene(snerg, camera).over()).mean() > 2 / 255, "the picture turns with the mouse"
+    assert np.abs(moved - render_scene(scene, camera).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
 
 
-def test_only_forward_facing_scenes_carry_their_code(page: Page, forward: tuple[Scene, str], turned: tuple[Scene, str, Path]) -> None:
+def test_only_forward_facing_scenes_have_ndc_code(page: Page, forward: tuple[Scene, str], turned: tuple[Scene, str, Path]) -> None:
     page.add_init_script("""
         const give = WebGL2RenderingContext.prototype.shaderSource;
         window.sources = "";
@@ -130,38 +130,38 @@ def test_only_forward_facing_scenes_carry_their_code(page: Page, forward: tuple[
 
 
 def test_diffuse_scene_fetches_no_features(page: Page, tmp_path: Path, serve: Serve) -> None:
-    snerg = make_snerg(diffuse=True)
-    write_bundle(snerg, make_cameras(), tmp_path / "web")
+    scene = make_snerg(diffuse=True)
+    write_bundle(scene, make_cameras(), tmp_path / "web")
     requests: list[str] = []
     page.on("request", lambda request: requests.append(request.url))
     address = serve(tmp_path / "web")
-    compare(page, address, snerg, make_cameras()[0], "Front")
+    compare(page, address, scene, make_cameras()[0], "Front")
     assert requests and all(url.startswith((address, "data:")) for url in requests), "nothing comes from elsewhere"
     assert not any("feature" in url for url in requests)
 
 
 @pytest.mark.hard_case(51)
 @pytest.mark.parametrize("diffuse", [False, True], ids=["view-dependent", "diffuse"])
-def test_thin_fog_arrives_exactly(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
+def test_thin_fog_is_exact(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
     draw = np.random.default_rng(5)
     shape = (60, 40, 50)
     alpha = draw.integers(0, 4, (*shape, 1))
     values = np.concatenate([draw.integers(0, 256, (*shape, 3 if diffuse else 7)) % (alpha + 1), alpha], axis=-1).astype(np.uint8)
-    snerg = snerg_from_volume(values, None if diffuse else random_network(3), grid_to_world=np.eye(4), voxel_size=0.05)
+    scene = snerg_from_volume(values, None if diffuse else random_network(3), grid_to_world=np.eye(4), voxel_size=0.05)
     cameras = make_cameras((1.5, 1.0, 1.25), 2.0)
-    write_bundle(snerg, cameras, tmp_path / "web")
-    compare(page, serve(tmp_path / "web"), snerg, cameras[0], 0)
+    write_bundle(scene, cameras, tmp_path / "web")
+    compare(page, serve(tmp_path / "web"), scene, cameras[0], 0)
 
 
 @pytest.mark.hard_case(51, 58)
 @pytest.mark.parametrize("diffuse", [False, True], ids=["view-dependent", "diffuse"])
 @pytest.mark.parametrize("name", ["webp", "jpeg", "avif"])
 def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bool) -> None:
-    """The page shows what Python reads from the same files, but for decoders that round differently; empty stays empty."""
+    """The page agrees with Python on the same files, except that decoders round differently; empty space stays empty."""
     codec = CodecSettings(name, 60)
-    snerg = make_snerg(angles=TURNED, shape=(40, 45, 50), diffuse=diffuse)
-    write_bundle(snerg, make_cameras(), tmp_path / "web", single_file=diffuse, codec=codec)
-    write_scene(snerg, tmp_path / "scene", codec=codec)
+    scene = make_snerg(angles=TURNED, shape=(40, 45, 50), diffuse=diffuse)
+    write_bundle(scene, make_cameras(), tmp_path / "web", single_file=diffuse, codec=codec)
+    write_scene(scene, tmp_path / "scene", codec=codec)
     back = read_scene(tmp_path / "scene")
     address = (tmp_path / "web" / "index.html").as_uri() if diffuse else serve(tmp_path / "web")
     camera = make_cameras()[0]
@@ -170,9 +170,9 @@ def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bo
     difference = np.abs(shown - render_scene(back, camera).over(BLACK))
     assert difference.mean() < 0.6 / 255 and np.mean(difference.max(axis=-1) < 6 / 255) > 0.999
     if codec.lossless:
-        assert np.abs(shown - dense_march(snerg, camera).over(BLACK)).mean() < 0.5 / 255
+        assert np.abs(shown - dense_march(scene, camera).over(BLACK)).mean() < 0.5 / 255
     else:
-        assert (shown[render_scene(snerg, camera).alpha == 0] == 0).all(), "no haze"
+        assert (shown[render_scene(scene, camera).alpha == 0] == 0).all(), "no haze"
 
 
 @pytest.mark.hard_case(54)
@@ -182,12 +182,12 @@ def test_more_blocks_than_eight_bits_count(page: Page, tmp_path: Path, serve: Se
     values[-60:] = 200, 20, 60, 220
     values[:60] = 20, 20, 200, 220
     values[300:7300] = 0
-    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
     for index, at in enumerate((1.5, 75.3)):
         pose = looking((at, -2.0, 0.8), (at, 0.06, 0.02))
         camera = Camera(160, 90, (120, 120), (80, 45), pose, name="There")
-        write_bundle(snerg, [camera], tmp_path / str(index))
-        compare(page, serve(tmp_path / str(index)), snerg, camera, 0)
+        write_bundle(scene, [camera], tmp_path / str(index))
+        compare(page, serve(tmp_path / str(index)), scene, camera, 0)
         assert picture(page).std() > 0.05
 
 
@@ -203,11 +203,11 @@ def test_a_grid_of_more_blocks_than_a_device_holds_says_so(page: Page, tmp_path:
 
 @pytest.mark.parametrize("name", ["h264", "float"])
 def test_what_browsers_do_not_show_is_refused(tmp_path: Path, name: str) -> None:
-    snerg = make_snerg((20, 20, 20))
+    scene = make_snerg((20, 20, 20))
     if name == "float":
-        snerg = replace(snerg, cells=(snerg.cells / 255).astype(np.float32))
+        scene = replace(scene, cells=(scene.cells / 255).astype(np.float32))
     with pytest.raises(SnergError, match=r"Browsers decode no H.264|a web page holds 8 bits"):
-        write_bundle(snerg, (), tmp_path / "web", codec=CodecSettings("png" if name == "float" else name))
+        write_bundle(scene, (), tmp_path / "web", codec=CodecSettings("png" if name == "float" else name))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -224,14 +224,14 @@ def test_empty_and_opaque_scenes_open(page: Page, tmp_path: Path, serve: Serve) 
 
 
 def test_single_file_from_the_disk(page: Page, tmp_path: Path) -> None:
-    snerg = make_snerg(angles=TURNED, shape=(40, 45, 50))
-    result = write_bundle(snerg, make_cameras(), tmp_path / "web", single_file=True)
+    scene = make_snerg(angles=TURNED, shape=(40, 45, 50))
+    result = write_bundle(scene, make_cameras(), tmp_path / "web", single_file=True)
     files = [path.name for path in (tmp_path / "web").iterdir() if not path.name.startswith(".")]
     assert files == ["index.html"]
     assert result == {"files": 1, "bytes": (tmp_path / "web" / "index.html").stat().st_size}
     requests: list[str] = []
     page.on("request", lambda request: requests.append(request.url))
-    compare(page, (tmp_path / "web" / "index.html").as_uri(), snerg, make_cameras()[1], "Shifted, rolled")
+    compare(page, (tmp_path / "web" / "index.html").as_uri(), scene, make_cameras()[1], "Shifted, rolled")
     assert len([url for url in requests if not url.startswith("data:")]) == 1
 
 
@@ -240,8 +240,8 @@ def test_single_file_from_the_disk(page: Page, tmp_path: Path) -> None:
 def test_texture_limits(page: Page, turned: tuple[Scene, str, Path], limit: int) -> None:
     """30 cells: one texture holds them at 256; at 64 they need four."""
     page.add_init_script(mocked_limit(limit))
-    snerg, address, _ = turned
-    compare(page, address, snerg, make_cameras()[0], 0)
+    scene, address, _ = turned
+    compare(page, address, scene, make_cameras()[0], 0)
 
 
 def mocked_limit(limit: int) -> str:

@@ -33,7 +33,8 @@ export class Atlas {
     const textureLimit = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
     const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS) - 1; // one is for the indirection grid
     if (Math.max(...scene.blocks) > textureLimit) {
-      throw new ViewerError(`The scene's grid is too large for this device: ${scene.blocks.join(" x ")} blocks, and it holds ${textureLimit} a side.`);
+      const blocks = scene.blocks.join(" x ");
+      throw new ViewerError(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
     }
     this.layout = atlasLayout(scene.cells, textureLimit, Math.floor(units / (this.kinds.length + 1)));
     this.size = this.layout.blocks.map((n) => n * CELL_VOXELS); // texels of a page along x, y and z

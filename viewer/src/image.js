@@ -7,11 +7,13 @@ import { EXPORT_AGAIN, ViewerError } from "./errors.js";
  * type. Throws a ViewerError where it is damaged or of another size, or where this browser cannot decode it or alters canvases.
  */
 export async function decodeOpaque(bytes, name, width, height, type) {
-  const bitmap = await createImageBitmap(new Blob([bytes], { type }), { colorSpaceConversion: "none", premultiplyAlpha: "none" }).catch(() => {
+  const options = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
+  const bitmap = await createImageBitmap(new Blob([bytes], { type }), options).catch(() => {
     throw new ViewerError(`The file ${name} cannot be shown: it is damaged, or this browser knows no ${type}. ${EXPORT_AGAIN}`);
   });
   if (bitmap.width !== width || bitmap.height !== height) {
-    throw new ViewerError(`The file ${name} is damaged: it is not the image of ${width} x ${height} pixels that belongs here. ${EXPORT_AGAIN}`);
+    const expected = `the image of ${width} x ${height} pixels that belongs here`;
+    throw new ViewerError(`The file ${name} is damaged: it is not ${expected}. ${EXPORT_AGAIN}`);
   }
   const context = contextOf(width, height);
   context.drawImage(bitmap, 0, 0);
@@ -27,7 +29,8 @@ function contextOf(width, height) {
   const [red, green, blue] = context.getImageData(0, 0, 1, 1).data;
   if (Math.max(Math.abs(red - 32), Math.abs(green - 80), Math.abs(blue - 128)) > 2) {
     throw new ViewerError(
-      "This browser's protection against fingerprinting alters the scene's images. Allow this page to read canvases, or export it with the codec png.",
+      "This browser's protection against fingerprinting alters the scene's images. Allow this page to read canvases, " +
+        "or export it with the codec png.",
     );
   }
   return context;

@@ -58,7 +58,8 @@ function makeRenderer() {
   renderer.autoClear = false;
   renderer.debug.onShaderError = (gl, program, vertex, fragment) => {
     const log = gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program) || "it gives no reason";
-    if (!gl.isContextLost()) showError(new ViewerError(`The graphics driver refuses the viewer's shader: ${log.replace(/[\s\0]+/g, " ").trim().slice(0, 300)}`));
+    const reason = log.replace(/[\s\0]+/g, " ").trim().slice(0, 300);
+    if (!gl.isContextLost()) showError(new ViewerError(`The graphics driver refuses the viewer's shader: ${reason}`));
   };
   return renderer;
 }

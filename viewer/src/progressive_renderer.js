@@ -139,7 +139,8 @@ export class ProgressiveRenderer {
     this.renderer.setRenderTarget(target);
     this.renderer.render(this.march.scene, CAMERA);
     this.renderer.setRenderTarget(null);
-    this.drawn = { pixels: target.width * rows, since: performance.now(), full: target === this.full, width: target.width, height: target.height };
+    const { width, height } = target;
+    this.drawn = { pixels: width * rows, since: performance.now(), full: target === this.full, width, height };
     this.sync = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.gl.flush();
     this.schedule(2);
@@ -178,23 +179,24 @@ export class ProgressiveRenderer {
     return true;
   }
 
-  /** The uniforms of march.glsl, from `View.uniforms`. */
-  setUniforms({ focal, principalPoint, imageHeight, orthographic, cameraPosition, raySpaceFromCamera, networkFromCamera, nearDistance, background }) {
+  /** Set the uniforms of march.glsl that follow the camera, as `View.uniforms` returns them. */
+  setUniforms(values) {
     const { uniforms } = this.march.material;
-    uniforms.focal.value.set(...focal);
-    uniforms.principalPoint.value.set(...principalPoint);
-    uniforms.imageHeight.value = imageHeight;
-    uniforms.orthographic.value = orthographic;
-    uniforms.cameraPosition.value.copy(cameraPosition);
-    uniforms.raySpaceFromCamera.value.setFromMatrix4(raySpaceFromCamera);
-    uniforms.networkFromCamera.value.setFromMatrix4(networkFromCamera);
-    uniforms.nearDistance.value = nearDistance;
-    uniforms.background.value.set(...background);
+    uniforms.focal.value.set(...values.focal);
+    uniforms.principalPoint.value.set(...values.principalPoint);
+    uniforms.imageHeight.value = values.imageHeight;
+    uniforms.orthographic.value = values.orthographic;
+    uniforms.cameraPosition.value.copy(values.cameraPosition);
+    uniforms.raySpaceFromCamera.value.setFromMatrix4(values.raySpaceFromCamera);
+    uniforms.networkFromCamera.value.setFromMatrix4(values.networkFromCamera);
+    uniforms.nearDistance.value = values.nearDistance;
+    uniforms.background.value.set(...values.background);
   }
 }
 
 const CAMERA = new OrthographicCamera(); // three wants one; the vertex shader does not use it
 
+/** The uniforms of march.glsl: a scene's own, and those that `setUniforms` sets. */
 function marchUniforms(scene, textures) {
   const uniforms = {
     focal: { value: new Vector2() },

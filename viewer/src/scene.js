@@ -73,7 +73,8 @@ function isNetwork(network) {
 }
 
 function isNdc(ndc) {
-  return isArray(ndc?.camera_to_world, [4, 4]) && isArray(ndc.focal, [2]) && [...ndc.focal, ndc.near].every((value) => value > 0 && Number.isFinite(value));
+  const isPositive = (value) => value > 0 && Number.isFinite(value);
+  return isArray(ndc?.camera_to_world, [4, 4]) && isArray(ndc.focal, [2]) && [...ndc.focal, ndc.near].every(isPositive);
 }
 
 /**

@@ -40,7 +40,8 @@ function ndcFunction(scene) {
 
 /** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texels of an atlas page. */
 function texelLookup(kind, pages) {
-  return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 texel)`, (name) => `textureLod(${name}, texel / vec3(textureSize(${name}, 0)), 0.0)`);
+  const read = (name) => `textureLod(${name}, texel / vec3(textureSize(${name}, 0)), 0.0)`;
+  return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 texel)`, read);
 }
 
 /** distanceAt: how many coarse voxels from a coarse voxel to the nearest of its cell that is not empty; 0 if it is not empty. */

@@ -1,4 +1,4 @@
-// What the page shows: the picture of an exported camera, exactly, until the user moves; then an orbit around the scene.
+// The camera of the page: an exported camera, exactly, until the user moves; then one that orbits the scene.
 import { Matrix4, OrthographicCamera, PerspectiveCamera, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
@@ -6,12 +6,14 @@ import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
 const MIN_TILT = 1e-4; // radians: a camera that looks straight down is tilted by this much, so that the orbit keeps its heading
 const MIN_ORBIT_DISTANCE = 0.02; // of the orbit's scale: where a camera is past the centre, it orbits a point this far before it
 
+const UNNAMED = { name: "", projection: "perspective", near: 0 }; // of the cameras that the viewer adds itself
+
 /** The camera whose image spans -1 to 1 in a forward-facing scene's normalised device coordinates. */
 function frameCamera({ camera_to_world, focal }) {
   const [width, height] = [(1000 * focal[1]) / focal[0], 1000];
   const centre = [width / 2, height / 2];
-  const cameraToWorld = matrixOfRows(camera_to_world);
-  return { width, height, focal: [focal[0] * centre[0], focal[1] * centre[1]], centre, projection: "perspective", near: 0, name: "", cameraToWorld };
+  const pixels = [focal[0] * centre[0], focal[1] * centre[1]];
+  return { ...UNNAMED, width, height, focal: pixels, centre, cameraToWorld: matrixOfRows(camera_to_world) };
 }
 
 /**
@@ -21,7 +23,7 @@ function frameCamera({ camera_to_world, focal }) {
  * for scenes of any size at any distance from the world's origin.
  */
 export class View {
-  /** scene: of `readScene`. element: receives the mouse. onChange: called when the picture changes. */
+  /** scene: of `readScene`. element: receives the mouse. onChange: called when the image changes. */
   constructor(scene, element, onChange) {
     this.scene = scene;
     this.onChange = () => {};
@@ -55,10 +57,10 @@ export class View {
     const back = new Vector3(0.45, -0.8, 0.4).normalize();
     const cameraToWorld = new Matrix4().lookAt(back, new Vector3(), new Vector3(0, 0, 1));
     cameraToWorld.setPosition(back.multiplyScalar(1.6 * this.orbitScale).add(this.centre));
-    return { width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], projection: "perspective", near: 0, name: "", cameraToWorld };
+    return { ...UNNAMED, width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], cameraToWorld };
   }
 
-  /** Show the picture of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
+  /** Show the image of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
   jump(camera) {
     this.camera = camera;
     this.atCamera = true;
@@ -130,7 +132,7 @@ export class View {
     const pose = this.pose();
     const rotation = rotationOf(pose);
     const raySpaceFromCamera = this.raySpaceFromWorld.clone().multiply(rotation);
-    // Subtracted in the world before anything else: far from the world's origin, products would lose the digits.
+    // Subtract first: far from the world's origin, the difference of two rotated positions would lose precision.
     const cameraPosition = positionOf(pose).sub(this.raySpaceOrigin).applyMatrix4(this.raySpaceFromWorld).divideScalar(this.raySpaceUnit);
     let nearDistance = Math.max(scene.near, camera.near) / this.raySpaceUnit;
     if (orthographic && !scene.ndc) nearDistance -= this.moveToBox(cameraPosition, raySpaceFromCamera);

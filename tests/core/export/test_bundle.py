@@ -1,4 +1,4 @@
-"""Web pages made from scenes on disk: which codec, and what of a scene goes into them."""
+"""Web pages of scenes on disk: their codec, and which files go into them."""
 
 import json
 from dataclasses import replace
@@ -23,8 +23,8 @@ def stored(tmp_path):
     return tmp_path / "scene"
 
 
-def test_pictures_are_taken_as_they_are(tmp_path, stored):
-    """Encoded again, a lossy picture would lose again."""
+def test_images_are_copied_unchanged(tmp_path, stored):
+    """Encoding a lossy image again would lose more."""
     result = bundle_scene(stored, tmp_path / "web")
     assert result["codec"] == "jpeg"
     names = {path.name for path in stored.iterdir()} - {".snerg", "diary.txt"}
@@ -39,7 +39,7 @@ def test_another_codec(tmp_path, stored):
     assert np.array_equal(read_scene(tmp_path / "web" / "scene").cells, read_scene(stored).cells)
 
 
-def test_an_older_scene_is_written_anew(tmp_path):
+def test_an_older_scene_is_converted(tmp_path):
     write_scene(make_snerg((34, 20, 20)), tmp_path / "scene")
     path = tmp_path / "scene" / "scene.json"
     value = json.loads(path.read_text())
@@ -64,7 +64,7 @@ def test_from_the_command_line(tmp_path, stored, capsys):
     assert not (tmp_path / "other").exists()
 
 
-def test_a_damaged_codec_is_told(tmp_path, stored):
+def test_a_damaged_codec_is_reported(tmp_path, stored):
     path = stored / "scene.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "codec": 5}))
     with pytest.raises(SnergError, match="no good codec"):
@@ -72,8 +72,8 @@ def test_a_damaged_codec_is_told(tmp_path, stored):
 
 
 @pytest.mark.parametrize("codec", ["png", "webp", "jpeg", "avif"])
-def test_only_what_the_scene_names_is_published(tmp_path, codec):
-    """Not what lies beside it under a like name, nor what a link points to."""
+def test_only_the_files_of_the_scene_are_published(tmp_path, codec):
+    """Neither other files with similar names nor the targets of links."""
     secret = tmp_path / "secret"
     secret.write_text("secret")
     scene = tmp_path / "scene"
@@ -90,7 +90,7 @@ def test_only_what_the_scene_names_is_published(tmp_path, codec):
 
 @pytest.mark.parametrize("name", ["scene.json", "indirection.png", "rgba_000.png", "feature_001.png"])
 def test_a_link_is_not_published(tmp_path, name):
-    """A good picture from elsewhere neither: nobody saw that it would be in the page."""
+    """Even to a valid image: the user did not choose to publish it."""
     scene = tmp_path / "scene"
     write_scene(make_snerg((34, 20, 20)), scene)
     (scene / name).rename(tmp_path / "private")
@@ -133,9 +133,9 @@ def test_only_what_the_reference_layout_names_is_published(tmp_path):
 
 
 def test_every_file_of_a_scene_is_named(tmp_path):
-    snerg = make_snerg((34, 20, 20))
+    scene = make_snerg((34, 20, 20))
     pytest.importorskip("av")
-    write_scene(replace(snerg, cells=snerg.cells / np.float32(255)), tmp_path / "float")
-    write_scene(snerg, tmp_path / "h264", codec=CodecSettings("h264", 70))
+    write_scene(replace(scene, cells=scene.cells / np.float32(255)), tmp_path / "float")
+    write_scene(scene, tmp_path / "h264", codec=CodecSettings("h264", 70))
     for folder in (tmp_path / "float", tmp_path / "h264"):
         assert {path.name for path in scene_files(folder)} == {path.name for path in folder.iterdir()} - {".snerg"}

@@ -1,4 +1,4 @@
-"""The reference layout: what the published viewer shows of our exports, round trips, and damaged folders."""
+"""The reference layout: the published viewer's images of our exports, round trips, and damaged folders."""
 
 import json
 import shutil
@@ -11,7 +11,9 @@ from PIL import Image
 from published_viewer import PublishedViewer
 from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
 from snerg.core.errors import SnergError
-from snerg.core.export.reference import OURS, read_indices, read_params, read_reference, reorient, viewer_axes, write_reference
+from snerg.core.export.reference import read_indices, read_reference, write_reference
+from snerg.core.export.reference_axes import reorient, viewer_axes
+from snerg.core.export.reference_params import SNERG_KEY, read_params
 from snerg.core.geometry.camera import Camera, focal_from_angle
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import read_image
@@ -27,8 +29,8 @@ def centred_camera(pose: np.ndarray, width: int, height: int, near: float = 0.0,
 
 
 def camera_in_viewer(params: dict, camera_to_world: np.ndarray) -> np.ndarray:
-    """Where a camera of the world stands in the viewer's: M takes the viewer's directions to the network's axes."""
-    ours = params[OURS]
+    """The pose in the viewer's world of a camera with this pose in ours; M takes the viewer's directions to the network's axes."""
+    ours = params[SNERG_KEY]
     axes = np.array(ours["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
     size = np.array(ours["shape"]) * ours["voxel_size"]
     grid = np.array(ours["grid_to_world"])
@@ -52,17 +54,17 @@ PLACES = {
 @pytest.mark.parametrize("place", PLACES)
 def test_the_published_viewer_shows_what_the_marcher_shows(tmp_path, place, diffuse):
     settings = {"size": 2.0, "centre": (0, 0, 0)} | PLACES[place]
-    snerg = make_snerg(fog=False, diffuse=diffuse, **settings)
-    write_reference(snerg, tmp_path / "out")
+    scene = make_snerg(fog=False, diffuse=diffuse, **settings)
+    write_reference(scene, tmp_path / "out")
     viewer = PublishedViewer(tmp_path / "out")
     size, centre = settings["size"], np.array(settings["centre"])
     for eye in ((0.4, -1.6, 0.5), (-1.3, 0.9, -0.6)):
         camera = centred_camera(looking(tuple(centre + np.array(eye) * size), tuple(centre)), 128, 96)
-        ours = render_scene(snerg, camera).over()
+        ours = render_scene(scene, camera).over()
         theirs = viewer.show(camera_in_viewer(viewer.params, camera.camera_to_world), (128, 96), FOV)
         difference = np.abs(ours - theirs) * 255
         assert ours.std() > 0.1
-        # The viewer re-phases its steps behind empty blocks and loses faint voxels: the sheet and the rims differ.
+        # Behind empty blocks the viewer's samples are shifted, and it drops faint voxels: the sheet and the rims differ.
         assert difference.mean() < 2
         assert (difference.max(axis=-1) < 8).mean() > 0.88
 
@@ -71,7 +73,7 @@ FACING = np.diag([-1, 1, -1, 1])  # a forward-facing viewer's world to the frame
 
 
 def forward_camera(frame: Ndc, to_viewer: np.ndarray) -> Camera:
-    """The camera of the world that stands where one of the viewer's does."""
+    """The camera in our world with the pose of a camera in the viewer's."""
     pose = FACING @ to_viewer
     pose[:3, 3] *= frame.near
     return centred_camera(frame.camera_to_world @ pose, 128, 96)
@@ -82,38 +84,38 @@ def forward_camera(frame: Ndc, to_viewer: np.ndarray) -> Camera:
 @pytest.mark.parametrize("angles", [(0, 0, 0), (0, np.pi / 2, 0), (np.pi / 2, np.pi, 0)])
 def test_forward_facing_scenes_in_the_published_viewer(tmp_path, angles, diffuse):
     frame = make_frame()
-    snerg = make_snerg((44, 40, 57), diffuse, fog=False, angles=angles, size=1.4, ndc=frame)
-    write_reference(snerg, tmp_path / "out")
+    scene = make_snerg((44, 40, 57), diffuse, fog=False, angles=angles, size=1.4, ndc=frame)
+    write_reference(scene, tmp_path / "out")
     viewer = PublishedViewer(tmp_path / "out")
     for eye in ((0.0, 0.0, -0.3), (0.12, -0.05, -0.25)):
         to_viewer = looking(eye, (0, 0, 0))
         to_viewer[:3, :3] = to_viewer[:3, :3] @ rotation((0, 0, np.arctan2(to_viewer[0, 1], to_viewer[1, 1])))  # y up, not z
-        ours = render_scene(snerg, forward_camera(frame, to_viewer)).over()
+        ours = render_scene(scene, forward_camera(frame, to_viewer)).over()
         assert ours.std() > 0.1
         exact = np.abs(ours - viewer.show(to_viewer, (128, 96), FOV, fault=False)) * 255
-        assert exact.mean() < 3 and (exact.max(axis=-1) < 8).mean() > 0.88  # its steps behind empty blocks, as above
-        assert np.abs(ours - viewer.show(to_viewer, (128, 96), FOV)).mean() * 255 < 20  # its own perspective is a little off
+        assert exact.mean() < 3 and (exact.max(axis=-1) < 8).mean() > 0.88  # shifted samples behind empty blocks, as above
+        assert np.abs(ours - viewer.show(to_viewer, (128, 96), FOV)).mean() * 255 < 20  # the viewer's perspective is slightly wrong
 
 
 @pytest.mark.parametrize("diffuse", [False, True])
 def test_forward_facing_round_trip_is_exact(tmp_path, diffuse):
-    snerg = make_snerg((44, 40, 57), diffuse, angles=(0, np.pi / 2, 0), size=1.4, ndc=make_frame(), near=0.2, opacity_correction=True)
-    write_reference(snerg, tmp_path / "out")
+    scene = make_snerg((44, 40, 57), diffuse, angles=(0, np.pi / 2, 0), size=1.4, ndc=make_frame(), near=0.2, opacity_correction=True)
+    write_reference(scene, tmp_path / "out")
     back = read_reference(tmp_path / "out")
-    same(back, Scene(**(vars(snerg) | {"view_rotation": back.view_rotation})))
-    assert np.allclose(back.view_rotation, snerg.view_rotation, rtol=0, atol=1e-15)
+    same(back, Scene(**(vars(scene) | {"view_rotation": back.view_rotation})))
+    assert np.allclose(back.view_rotation, scene.view_rotation, rtol=0, atol=1e-15)
     assert back.ndc is not None and back.ndc.to_json() == Ndc.from_json(make_frame().to_json()).to_json()
 
 
 @pytest.mark.parametrize("published", [True, False])
 def test_forward_facing_scenes_of_other_tools(tmp_path, published):
-    """Without our key: along y, near at 1; the same picture from the same place. The published matrix says how the grid is turned."""
+    """Without our key the frame looks along y with near at 1, and shows the same image from the same place."""
     frame = make_frame()
-    snerg = replace(make_snerg((44, 40, 60), size=1.4, ndc=frame), view_rotation=frame.camera_to_world[:3, :3].T)
-    write_reference(snerg, tmp_path / "out")
+    scene = replace(make_snerg((44, 40, 60), size=1.4, ndc=frame), view_rotation=frame.camera_to_world[:3, :3].T)
+    write_reference(scene, tmp_path / "out")
     path = tmp_path / "out" / "scene_params.json"
     params = json.loads(path.read_text())
-    del params[OURS]
+    del params[SNERG_KEY]
     if published:
         params["worldspace_T_opengl"] = np.diag([1, 1, -1, 1]).tolist()
     path.write_text(json.dumps(params))
@@ -121,7 +123,7 @@ def test_forward_facing_scenes_of_other_tools(tmp_path, published):
     assert back.ndc is not None and back.ndc.near == 1 and np.allclose(back.ndc.focal, frame.focal)
     to_viewer = np.diag([-1.0, 1, -1, 1])
     to_viewer[2, 3] = -0.2
-    there, here = (render_scene(s, forward_camera(s.ndc, to_viewer)).over() for s in (back, snerg))
+    there, here = (render_scene(s, forward_camera(s.ndc, to_viewer)).over() for s in (back, scene))
     assert np.abs(there - here).max() < 1 / 255
 
 
@@ -132,10 +134,10 @@ def test_a_turned_forward_facing_box_is_refused(tmp_path):
 
 
 def test_the_viewer_opens_at_blenders_front_view(tmp_path):
-    """From (0, 1, -4) it sees +x on the right, +z at the top: M is the published Lego's for a box in the world's axes."""
+    """From (0, 1, -4) it sees +x on the right and +z at the top; for a box in the world's axes, M is that of the published Lego."""
     write_reference(make_snerg(), tmp_path / "out")
     params = json.loads((tmp_path / "out" / "scene_params.json").read_text())
-    axes = np.array(params[OURS]["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
+    axes = np.array(params[SNERG_KEY]["view_rotation"]).T @ np.array(params["worldspace_T_opengl"])[:3, :3]
     assert np.allclose(axes, [[-1, 0, 0], [0, 0, 1], [0, 1, 0]])
     for name, cells in zip("xyz", (-(-74 // 30) * 30, 95, 65), strict=True):
         assert params["grid_" + {"x": "width", "y": "height", "z": "depth"}[name]] == cells
@@ -161,15 +163,15 @@ def same(a: Scene, b: Scene) -> None:
 @pytest.mark.parametrize("diffuse", [False, True])
 @pytest.mark.parametrize("place", PLACES)
 def test_round_trip_is_exact(tmp_path, place, diffuse):
-    snerg = make_snerg(diffuse=diffuse, near=0.2, **PLACES[place])
-    write_reference(snerg, tmp_path / "out")
+    scene = make_snerg(diffuse=diffuse, near=0.2, **PLACES[place])
+    write_reference(scene, tmp_path / "out")
     back = read_reference(tmp_path / "out")
-    assert np.allclose(back.view_rotation, snerg.view_rotation, rtol=0, atol=1e-15)
-    same(back, Scene(**(vars(snerg) | {"view_rotation": back.view_rotation})))
+    assert np.allclose(back.view_rotation, scene.view_rotation, rtol=0, atol=1e-15)
+    same(back, Scene(**(vars(scene) | {"view_rotation": back.view_rotation})))
 
 
 @pytest.mark.hard_case(57)
-def test_an_empty_scene_goes_round(tmp_path):
+def test_an_empty_scene_round_trips(tmp_path):
     write_reference(empty_snerg(), tmp_path / "out")
     back = read_reference(tmp_path / "out")
     assert (back.indirection == -1).all() and len(back.cells) == 0
@@ -177,24 +179,24 @@ def test_an_empty_scene_goes_round(tmp_path):
     assert (viewer.show(looking((0, -4, 1), (0, 0, 0)), (16, 12), FOV) == 1).all()
 
 
-def test_without_our_key_a_scene_stands_where_its_matrix_puts_it(tmp_path):
-    snerg = Scene(**(vars(make_snerg(centre=(0.5, 0.2, -0.1))) | {"view_rotation": np.eye(3)}))
-    write_reference(snerg, tmp_path / "out")
-    change(tmp_path / "out", lambda params: params.pop(OURS))
+def test_without_our_key_the_matrix_places_a_scene(tmp_path):
+    scene = Scene(**(vars(make_snerg(centre=(0.5, 0.2, -0.1))) | {"view_rotation": np.eye(3)}))
+    write_reference(scene, tmp_path / "out")
+    change(tmp_path / "out", lambda params: params.pop(SNERG_KEY))
     back = read_reference(tmp_path / "out")
     camera = centred_camera(looking((2.6, -3.0, 1.5), (0.5, 0.2, -0.1)), 96, 72)
-    assert np.abs(render_scene(back, camera).over() - render_scene(snerg, camera).over()).mean() < 1e-3
+    assert np.abs(render_scene(back, camera).over() - render_scene(scene, camera).over()).mean() < 1e-3
 
 
-def test_reorienting_changes_no_picture():
-    snerg = make_snerg((31, 30, 47), fog=True)
+def test_reorienting_changes_no_image():
+    scene = make_snerg((31, 30, 47), fog=True)
     camera = centred_camera(looking((2.2, -3.0, 1.9), (0, 0, 0)), 80, 60)
-    picture = render_scene(snerg, camera).over()
+    picture = render_scene(scene, camera).over()
     for angles in ((0, 0, np.pi / 2), (np.pi / 2, 0, 0), (np.pi, 0, np.pi / 2)):
-        turned = reorient(snerg, np.rint(rotation(angles)).astype(int))
-        # A flipped axis is longer by its padding, so that rays enter at another phase of the steps; elsewhere they agree.
+        turned = reorient(scene, np.rint(rotation(angles)).astype(int))
+        # A reversed axis is longer by its padding, which shifts the samples of rays that enter there; other rays agree.
         assert np.abs(render_scene(turned, camera).over() - picture).mean() < 0.02
-        assert (turned.indirection >= 0).sum() == (snerg.indirection >= 0).sum()
+        assert (turned.indirection >= 0).sum() == (scene.indirection >= 0).sum()
 
 
 def test_records_the_camera(tmp_path):
@@ -220,14 +222,14 @@ def test_index_is_packed_as_the_reference_packs(tmp_path):
 def test_more_blocks_than_the_viewer_holds_are_refused(tmp_path, blocks, fits):
     values = np.zeros((30 * blocks, 4, 4, 4), np.uint8)
     values[-2:] = 200
-    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.001)
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.001)
     if not fits:
         with pytest.raises(SnergError, match="lower resolution"):
-            write_reference(snerg, tmp_path / "out")
+            write_reference(scene, tmp_path / "out")
         assert not list(tmp_path.iterdir())
         return
-    write_reference(snerg, tmp_path / "out")
-    same(read_reference(tmp_path / "out"), snerg)
+    write_reference(scene, tmp_path / "out")
+    same(read_reference(tmp_path / "out"), scene)
 
 
 def change(folder, edit) -> None:
@@ -270,9 +272,9 @@ DAMAGE = {
     "mirrored": (set_to("worldspace_T_opengl", MIRROR), "mirrors"),
     "scaled": (set_to("worldspace_T_opengl", (2 * np.eye(4)).tolist()), "scales"),
     "no matrix": (set_to("worldspace_T_opengl", [[1, 0], [0, 1]]), "4 x 4"),
-    "our key damaged": (lambda p: p[OURS].pop("shape"), OURS),
-    "our key of another grid": (lambda p: p[OURS].update(shape=[400, 4, 4]), OURS),
-    "our key not a turn": (lambda p: p[OURS].update(viewer_axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), OURS),
+    "our key damaged": (lambda p: p[SNERG_KEY].pop("shape"), SNERG_KEY),
+    "our key of another grid": (lambda p: p[SNERG_KEY].update(shape=[400, 4, 4]), SNERG_KEY),
+    "our key not a turn": (lambda p: p[SNERG_KEY].update(viewer_axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]]), SNERG_KEY),
 }
 
 
@@ -316,17 +318,17 @@ def test_no_scene(tmp_path):
 
 
 def test_marcher_reproduces_the_published_viewer_on_a_ball(tmp_path):
-    """A shaded ball with features, as the published viewer shows it, and as the marcher does after reading the files."""
+    """A shaded ball with features: the published viewer's image against the marcher's, which reads the same files."""
     n = 64
     point = (np.stack(np.meshgrid(*[np.arange(n) + 0.5] * 3, indexing="ij"), axis=-1) - n / 2) / (n / 2)
     alpha = np.clip((0.45 - np.linalg.norm(point, axis=-1)) * n / 2, 0, 1)[..., None]
     features = 0.5 + 0.5 * np.sin(6 * point @ np.random.default_rng(3).normal(size=(3, 4)))
     values = np.concatenate([np.clip(0.5 + point, 0, 1) * alpha, features * alpha, alpha], axis=-1)
-    snerg = make_snerg()
-    ball = snerg_from_volume((values * 255).astype(np.uint8), snerg.network, grid_to_world=np.eye(4), voxel_size=2 / n)
+    scene = make_snerg()
+    ball = snerg_from_volume((values * 255).astype(np.uint8), scene.network, grid_to_world=np.eye(4), voxel_size=2 / n)
     write_reference(ball, tmp_path / "ball")
     viewer = PublishedViewer(tmp_path / "ball")
-    change(tmp_path / "ball", lambda params: params.pop(OURS))
+    change(tmp_path / "ball", lambda params: params.pop(SNERG_KEY))
     back = read_reference(tmp_path / "ball")
     axes = np.array(viewer.params["worldspace_T_opengl"])[:3, :3]
     for eye in ((1.6, 0.9, 2.2), (-2.0, 1.4, -1.2)):
@@ -340,9 +342,9 @@ def test_marcher_reproduces_the_published_viewer_on_a_ball(tmp_path):
 
 
 def test_marcher_reproduces_the_published_viewers_pictures(data):
-    """The viewer's own canvas, and our restatement of it, against the marcher."""
+    """The viewer's own canvas, and our reimplementation of it, against the marcher."""
     folder = data / "reference"
-    snerg = read_reference(folder / "sphere64")
+    scene = read_reference(folder / "sphere64")
     viewer = PublishedViewer(folder / "sphere64")
     for path in sorted((folder / "views").glob("*.json")):
         view = json.loads(path.read_text())
@@ -350,7 +352,7 @@ def test_marcher_reproduces_the_published_viewers_pictures(data):
         pose = np.array(view["camera_to_world"])
         fov = view["vertical_fov_degrees"]
         camera = centred_camera(pose, view["width"], view["height"], view["near"], fov)
-        difference = np.abs(render_scene(snerg, camera).over() * 255 - truth)
+        difference = np.abs(render_scene(scene, camera).over() * 255 - truth)
         assert difference.mean() < 1
         assert (difference.max(axis=-1) <= 4.5).mean() > 0.99
         restated = viewer.show(pose, (view["width"], view["height"]), fov, view["near"])

@@ -28,18 +28,18 @@ def same(a: Scene, b: Scene) -> bool:
 
 @pytest.mark.parametrize("make", [make_snerg, make_forward])
 @pytest.mark.parametrize("diffuse", [False, True])
-def test_what_is_written_is_read(tmp_path, make, diffuse):
-    snerg = make(diffuse=diffuse)
-    write_scene(snerg, tmp_path / "scene")
+def test_round_trip(tmp_path, make, diffuse):
+    scene = make(diffuse=diffuse)
+    write_scene(scene, tmp_path / "scene")
     back = read_scene(tmp_path / "scene")
-    assert same(back, snerg) and (back.ndc is None) == (snerg.ndc is None)
-    if snerg.ndc is not None:
-        assert (back.ndc.focal, back.ndc.near) == (snerg.ndc.focal, snerg.ndc.near)
-        assert np.allclose(back.ndc.camera_to_world, snerg.ndc.camera_to_world, rtol=0, atol=1e-15)
+    assert same(back, scene) and (back.ndc is None) == (scene.ndc is None)
+    if scene.ndc is not None:
+        assert (back.ndc.focal, back.ndc.near) == (scene.ndc.focal, scene.ndc.near)
+        assert np.allclose(back.ndc.camera_to_world, scene.ndc.camera_to_world, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize("ndc", [{"focal": [1, 1]}, 3, {"camera_to_world": np.eye(4).tolist(), "focal": [1, 0], "near": 1}])
-def test_a_damaged_frame_is_told(tmp_path, ndc):
+def test_a_damaged_frame_is_reported(tmp_path, ndc):
     write_scene(make_forward(), tmp_path / "scene")
     path = tmp_path / "scene" / "scene.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "ndc": ndc}))
@@ -48,14 +48,14 @@ def test_a_damaged_frame_is_told(tmp_path, ndc):
 
 
 @pytest.mark.hard_case(56)
-def test_the_atlas_is_written_and_read_by_the_slab(tmp_path):
-    """Beside the scene itself only a few pictures are in memory, not the atlas once more."""
-    noise = np.random.default_rng(0).integers(0, 256, (180, 150, 180, 4), np.uint8)  # takes longer to write than to cut up
-    snerg = snerg_from_volume(noise, None, grid_to_world=np.eye(4), voxel_size=0.01)
-    size = snerg.cells.nbytes
+def test_the_atlas_is_streamed(tmp_path):
+    """Beside the scene itself, memory holds a few slices and not a second atlas."""
+    noise = np.random.default_rng(0).integers(0, 256, (180, 150, 180, 4), np.uint8)  # slower to encode than to slice
+    scene = snerg_from_volume(noise, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    size = scene.cells.nbytes
     tracemalloc.start()
     try:
-        write_scene(snerg, tmp_path / "scene")
+        write_scene(scene, tmp_path / "scene")
         assert tracemalloc.get_traced_memory()[1] < 0.8 * size
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]
@@ -63,7 +63,7 @@ def test_the_atlas_is_written_and_read_by_the_slab(tmp_path):
         assert tracemalloc.get_traced_memory()[1] - before < 1.7 * size
     finally:
         tracemalloc.stop()
-    assert np.array_equal(back.cells, snerg.cells)
+    assert np.array_equal(back.cells, scene.cells)
 
 
 LOSSY = tuple(name for name in SUFFIXES if not CodecSettings(name).lossless)
@@ -77,57 +77,57 @@ def needs(name: str) -> None:
 @pytest.mark.parametrize("diffuse", [False, True])
 @pytest.mark.parametrize("name", SUFFIXES)
 def test_codecs(tmp_path, name, diffuse):
-    """Lossless ones return what they were given, lossy ones nearly, and better at a higher quality; alpha is exact in all."""
+    """Lossless codecs are exact; lossy ones are close, and closer at a higher quality; alpha is exact in all."""
     needs(name)
-    snerg = make_snerg((40, 33, 35), diffuse)
+    scene = make_snerg((40, 33, 35), diffuse)
     means, sizes = [], []
     for quality in (100, 60):
         folder = tmp_path / str(quality)
-        write_scene(snerg, folder, codec=CodecSettings(name, quality))
+        write_scene(scene, folder, codec=CodecSettings(name, quality))
         back = read_scene(folder)
-        assert np.array_equal(back.cells[..., -1], snerg.cells[..., -1])
+        assert np.array_equal(back.cells[..., -1], scene.cells[..., -1])
         assert codec_of(folder) == CodecSettings(name) if name in ("png", "webp") else CodecSettings(name, quality)
-        full = snerg.cells[..., -1] > 0
-        assert quality == 60 or abs((back.cells[full].astype(int) - snerg.cells[full]).mean()) < 0.25, "rays add a bias up"
-        means.append(np.abs(back.cells.astype(int) - snerg.cells).mean())
+        full = scene.cells[..., -1] > 0
+        assert quality == 60 or abs((back.cells[full].astype(int) - scene.cells[full]).mean()) < 0.25, "a bias would add up along rays"
+        means.append(np.abs(back.cells.astype(int) - scene.cells).mean())
         sizes.append(sum(path.stat().st_size for path in folder.iterdir() if path.suffix != ".json"))
         assert diffuse != any("feature" in path.name for path in folder.iterdir())
     if name in LOSSY:
         assert means[0] < 0.1 < means[1] < 1 and sizes[0] > 1.5 * sizes[1]
     else:
-        assert same(back, snerg) and sizes[0] == sizes[1]
+        assert same(back, scene) and sizes[0] == sizes[1]
 
 
 @pytest.mark.hard_case(58)
 @pytest.mark.parametrize("name", LOSSY)
 def test_empty_stays_empty(tmp_path, name):
-    """A lossy codec spreads colour into what is empty; a haze stands where rays meet nothing."""
+    """A lossy codec spreads colour into empty space; rays that hit nothing would show it as haze."""
     needs(name)
-    snerg = make_snerg((40, 33, 35), fog=False)
-    write_scene(snerg, tmp_path / "scene", codec=CodecSettings(name, 50))
+    scene = make_snerg((40, 33, 35), fog=False)
+    write_scene(scene, tmp_path / "scene", codec=CodecSettings(name, 50))
     back = read_scene(tmp_path / "scene")
     assert (back.cells[..., :-1] <= back.cells[..., -1:]).all()
-    assert not back.cells[snerg.cells[..., -1] == 0].any()
+    assert not back.cells[scene.cells[..., -1] == 0].any()
     suffix = SUFFIXES[name]
-    if name != "h264":  # as read without the rule
+    if name != "h264":  # as stored, before colours are limited to alpha
         pixels = np.asarray(Image.open(tmp_path / "scene" / f"rgb_003.{suffix}"))
         alpha = np.asarray(Image.open(tmp_path / "scene" / "alpha_003.png"))
         assert (pixels[alpha == 0] > 0).any()
     camera = make_cameras(width=60, height=45)[0]
-    clear = render_scene(snerg, camera)
+    clear = render_scene(scene, camera)
     assert (render_scene(back, camera).colour[clear.alpha == 0] == 0).all()
 
 
 @pytest.mark.parametrize("name", LOSSY)
-def test_light_without_alpha_is_for_lossless_codecs(tmp_path, name):
+def test_colours_above_alpha_need_a_lossless_codec(tmp_path, name):
     needs(name)
-    snerg = make_snerg((20, 20, 20), diffuse=True)
-    snerg = replace(snerg, cells=np.maximum(snerg.cells, np.array([1, 0, 0, 0], np.uint8)))
+    scene = make_snerg((20, 20, 20), diffuse=True)
+    scene = replace(scene, cells=np.maximum(scene.cells, np.array([1, 0, 0, 0], np.uint8)))
     with pytest.raises(SnergError, match="colours above their alpha"):
-        write_scene(snerg, tmp_path / "scene", codec=CodecSettings(name))
+        write_scene(scene, tmp_path / "scene", codec=CodecSettings(name))
     assert list(tmp_path.iterdir()) == []
-    write_scene(snerg, tmp_path / "scene", codec=CodecSettings("webp"))
-    assert same(read_scene(tmp_path / "scene"), snerg)
+    write_scene(scene, tmp_path / "scene", codec=CodecSettings("webp"))
+    assert same(read_scene(tmp_path / "scene"), scene)
 
 
 @pytest.mark.hard_case(57)
@@ -152,10 +152,10 @@ def test_h264_without_pyav(tmp_path, monkeypatch):
 
 
 def test_version_2_is_read(tmp_path):
-    snerg = make_snerg((40, 33, 35))
-    write_scene(snerg, tmp_path / "scene")
+    scene = make_snerg((40, 33, 35))
+    write_scene(scene, tmp_path / "scene")
     edit(tmp_path / "scene", lambda value: (value.update(version=2), value.pop("codec")))
-    assert same(read_scene(tmp_path / "scene"), snerg) and codec_of(tmp_path / "scene") == CodecSettings()
+    assert same(read_scene(tmp_path / "scene"), scene) and codec_of(tmp_path / "scene") == CodecSettings()
 
 
 def edit(folder, change) -> None:
@@ -226,29 +226,29 @@ def test_damaged_files_are_named(tmp_path, stored, name, file):
         lambda value: value.update(about=7),
     ],
 )
-def test_damaged_numbers_are_told(tmp_path, stored, change):
+def test_damaged_numbers_are_reported(tmp_path, stored, change):
     folder = shutil.copytree(stored / "png", tmp_path / "scene")
     edit(folder, change)
     with pytest.raises(SnergError):
         read_scene(folder)
 
 
-def in_floats(snerg: Scene) -> Scene:
-    return replace(snerg, cells=snerg.cells.astype(np.float32) / 255)
+def in_floats(scene: Scene) -> Scene:
+    return replace(scene, cells=scene.cells.astype(np.float32) / 255)
 
 
-def test_floats_are_stored_as_they_are(tmp_path):
-    snerg = in_floats(make_snerg((20, 20, 20)))
-    write_scene(snerg, tmp_path / "scene")
+def test_floats_round_trip(tmp_path):
+    scene = in_floats(make_snerg((20, 20, 20)))
+    write_scene(scene, tmp_path / "scene")
     back = read_scene(tmp_path / "scene")
-    assert same(back, snerg) and back.cells.dtype == np.float32 and codec_of(tmp_path / "scene") == CodecSettings()
+    assert same(back, scene) and back.cells.dtype == np.float32 and codec_of(tmp_path / "scene") == CodecSettings()
     for codec in ("jpeg", "webp"):
         with pytest.raises(SnergError, match="not quantised"):
-            write_scene(snerg, tmp_path / "other", codec=CodecSettings(codec))
+            write_scene(scene, tmp_path / "other", codec=CodecSettings(codec))
     with pytest.raises(SnergError, match="not quantised"):
-        write_reference(snerg, tmp_path / "other")
+        write_reference(scene, tmp_path / "other")
     assert [path.name for path in tmp_path.iterdir()] == ["scene"]
-    cells = snerg.cells.copy()
+    cells = scene.cells.copy()
     for bad in (np.nan, 1.5, -0.1):
         cells[0, 3, 3, 3, 3] = bad
         np.save(tmp_path / "scene" / "cells.npy", cells)
@@ -262,18 +262,18 @@ def test_any_number_of_blocks_on_an_axis(tmp_path, blocks):
     values = np.zeros((30 * blocks, 4, 4, 4), np.uint8)
     values[-2:] = 200
     values[:1] = 100
-    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.001)
-    write_scene(snerg, tmp_path / "scene")
-    assert same(read_scene(tmp_path / "scene"), snerg)
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.001)
+    write_scene(scene, tmp_path / "scene")
+    assert same(read_scene(tmp_path / "scene"), scene)
 
 
 @pytest.mark.slow
 @pytest.mark.hard_case(56)
 def test_four_thousand_blocks_are_streamed(tmp_path):
-    """Half a gigabyte of cells; a layer of them is 32 MiB, and a few of those are in memory beside it."""
+    """Half a gigabyte of cells: memory holds them and a few layers of 32 MiB each."""
     cells = np.zeros((4096, 32, 32, 32, 4), np.uint8)
     cells[:, 5:9, 7, 3:30] = np.arange(4096, dtype=np.uint16).view(np.uint8).reshape(4096, 2)[:, None, None, [0, 1, 0, 1]]
-    snerg = replace(
+    scene = replace(
         make_snerg((20, 20, 20), diffuse=True),
         cells=cells,
         shape=(480,) * 3,
@@ -281,7 +281,7 @@ def test_four_thousand_blocks_are_streamed(tmp_path):
     )
     tracemalloc.start()
     try:
-        write_scene(snerg, tmp_path / "scene")
+        write_scene(scene, tmp_path / "scene")
         assert tracemalloc.get_traced_memory()[1] < 200e6
         tracemalloc.reset_peak()
         back = read_scene(tmp_path / "scene")

@@ -1,4 +1,4 @@
-"""Ctrl-C ends every command within a second, in every phase of it, and leaves nothing half-written."""
+"""Ctrl-C ends every command within a second, in each of its phases, and leaves no unfinished files."""
 
 import os
 import random
@@ -47,7 +47,7 @@ COMMANDS = {
 
 @pytest.fixture(scope="module")
 def material(tmp_path_factory):
-    """Paths by name: a dataset whose pictures take a moment to read, and a field, a scene and cameras."""
+    """Paths by name: a dataset whose images take a moment to read, a field, scenes and cameras."""
     pytest.importorskip("jax")
     folder = tmp_path_factory.mktemp("material")
     snerg = make_snerg((100, 100, 100))
@@ -87,7 +87,7 @@ def interrupted(words: list[str], delay: float, out: Path, command: tuple[str, .
 
 
 def whole(command: str, out: Path) -> bool:
-    """Whether what lies at `out` is nothing, or all of it."""
+    """Whether the result at `out` is absent or complete."""
     if not out.exists() or command == "study":
         return True
     if command in ("eval", "render"):
@@ -99,7 +99,7 @@ def whole(command: str, out: Path) -> bool:
 
 @pytest.mark.parametrize("command, delay", [("train", 2.5), ("bake", 3.0), ("bundle", 0.8), ("study", 4.0), ("info", 0.0), ("info", 0.1)])
 def test_a_command_stops_at_once(material, tmp_path, command, delay):
-    """In the middle of compiling, of encoding, and of starting."""
+    """While it compiles, encodes and starts."""
     out = tmp_path / "out"
     seconds, stopped = interrupted(COMMANDS[command].format(out=out, **material).split(), delay, out)
     assert stopped and seconds < LOOSE and whole(command, out)
@@ -117,7 +117,7 @@ def test_nothing_heavy_is_imported_before_the_keyboard_is_heard():
 
 @pytest.mark.slow
 def test_every_command_stops_at_once_in_every_phase(material, tmp_path, capsys):
-    """Seeded moments all over each command; prints p50, p99 and the longest of the latencies."""
+    """At seeded random moments of each command. Prints the median, the 99th percentile and the maximum of the latencies."""
     draw, everything = random.Random(3), []
     for number, (command, text) in enumerate(COMMANDS.items()):
         taken, longest = [], LONGEST
@@ -138,14 +138,14 @@ def test_every_command_stops_at_once_in_every_phase(material, tmp_path, capsys):
 
 
 def _print(capsys, command: str, seconds: list[float]) -> None:
-    """How often a command was stopped, and the p50, p99 and longest of the seconds that it took."""
+    """Print how often a command was stopped, and the median, the 99th percentile and the maximum of the seconds that it took."""
     with capsys.disabled():
         told = "".join(f"{value:8.3f}" for value in (*np.percentile(seconds, (50, 99)), max(seconds))) if seconds else ""
         print(f"{command:20} {len(seconds):4}{told}", flush=True)
 
 
 def run_slow(body: str, out: Path, presses: int = 1) -> tuple[int, str, float]:
-    """(exit code, what it said, seconds from the first Ctrl-C) of a command whose work is `body`, interrupted once it says 'ready'."""
+    """(exit code, standard error, seconds from the first Ctrl-C) of a command with the work `body`, interrupted once it printed 'ready'."""
     script = f"""
 import sys, threading, time
 from pathlib import Path
@@ -206,7 +206,7 @@ def test_a_second_press_does_not_wait(tmp_path):
 
 
 def test_any_event_asks():
-    """The end of a job's input, as well as the keyboard."""
+    """Work stops on any event, not only on the keyboard's."""
     asked, left = threading.Event(), []
     progress = watched(lambda fraction, message: None, asked)
     threading.Timer(0.2, asked.set).start()

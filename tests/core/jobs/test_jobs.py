@@ -1,4 +1,4 @@
-"""Jobs as they are: real processes, well-behaved, silent, killed, stubborn, out of memory, waiting, left alone and found again."""
+"""Jobs as real processes: finished, failed, killed, hanging, out of memory, waiting, left by their starter and found again."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ posix = pytest.mark.skipif(os.name != "posix", reason="a POSIX signal")
 
 @pytest.fixture(autouse=True)
 def nothing_runs_on(tmp_path: Path) -> Iterator[None]:
-    """Jobs outlive who started them: also a test that failed."""
+    """Stop all jobs at the end, which would outlive a failed test."""
     yield
     for lock in tmp_path.rglob(folders.LOCK):
         (lock.parent / folders.STOP).touch()
@@ -59,7 +59,7 @@ def job(work: str) -> Job:
 
 
 def until(true: Callable[[], bool]) -> float:
-    """Wait for it; returns how many seconds that took."""
+    """Wait for a condition, and return how many seconds that took."""
     start = time.monotonic()
     while not true():
         assert time.monotonic() - start < PATIENCE
@@ -180,7 +180,7 @@ def test_the_launcher_runs_a_command(tmp_path):
 
 
 def begun_elsewhere(project: Path, work: str, attached: bool, then: str) -> subprocess.Popen[bytes]:
-    """Another process that begins a job in `project` and then does `then`."""
+    """Start another process that begins a job in `project` and then runs `then`."""
     arguments = f"[sys.executable, '-c', {source(work)!r}]"
     code = f"{LOAD}\nchild = Job({arguments}).begin(Path({str(project)!r}), {{'label': 'Training'}}, attached={attached})\n{then}"
     return subprocess.Popen([sys.executable, "-c", code])
@@ -214,7 +214,7 @@ def test_a_job_that_was_found_is_cancelled_as_any(tmp_path):
 
 
 def test_a_job_whose_folder_is_deleted_ends(tmp_path):
-    """As Blender deletes its temporary folder, in which files that were never saved have their projects."""
+    """As Blender deletes its temporary folder when it closes."""
     child = job(WORKS_ON).begin(tmp_path / "project", {})
     until(lambda: works(child))
     shutil.rmtree(tmp_path / "project")
@@ -245,7 +245,7 @@ def test_a_killed_job_is_seen_to_be_dead_by_whoever_looks(tmp_path):
 
 
 def test_jobs_of_a_project_run_one_after_another(tmp_path):
-    """Each writes when it begins and when it ends; whoever waits says for whom."""
+    """Each job writes when it starts and when it ends; a waiting job reports which one it waits for."""
     log = tmp_path / "order"
     work = "with open({log!r}, 'a') as file: file.write('+{k} '); file.flush(); time.sleep(0.3); file.write('-{k} ')\nreturn {{}}"
     children = [job(work.format(log=str(log), k=k)).begin(tmp_path, {"label": f"Step {k}"}) for k in range(3)]
@@ -311,7 +311,7 @@ def test_damaged_folders_are_no_reason_to_fail(tmp_path):
 
 
 def test_the_launcher_and_the_jobs_agree_on_their_variables():
-    """The launcher cannot import core before it has made it importable, and has the names twice."""
+    """The launcher defines the names again, because it runs before core can be imported."""
     spec = importlib.util.spec_from_file_location("launcher", ROOT / "launcher.py")
     launcher = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(launcher)

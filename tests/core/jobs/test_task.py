@@ -1,4 +1,4 @@
-"""The states of a task, the same for every kind of it; and what its watchers see."""
+"""The states of a task, which are the same for every kind of task, and what its watchers see."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from snerg.core.progress import Note, ProgressEvent, within
 
 
 class Manual(Task):
-    """A task that a test moves on by hand."""
+    """A task that a test advances by hand."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -56,7 +56,7 @@ def test_a_task_that_was_asked_to_stop_says_so_until_it_ends():
         (Cancelled("Stopped."), "cancelled", "Stopped."),
         (SnergError("The box is flat."), "failed", "The box is flat."),
         (MemoryError(), "failed", OUT_OF_MEMORY),
-        (KeyError("x"), "failed", "Something went wrong that should not (KeyError: 'x'); please report it with the console's text."),
+        (KeyError("x"), "failed", "An unexpected error occurred (KeyError: 'x'); please report it with the console's text."),
     ],
 )
 def test_every_error_is_an_outcome_in_one_sentence(error, state, sentence):
