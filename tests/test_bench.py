@@ -78,3 +78,14 @@ def test_a_straight_line_is_found_and_drawn(monkeypatch, tmp_path):
     plot.save_plot(tmp_path / "plot.png", [panel, panel])
     with Image.open(tmp_path / "plot.png") as image:
         assert image.size == (4 * plot.WIDTH, 2 * plot.HEIGHT)
+
+
+@pytest.mark.slow
+def test_estimates_are_compared_and_coefficients_fitted(dataset, tmp_path):
+    pytest.importorskip("jax")
+    train_field(dataset, tmp_path / "field", steps=40, values={"view_dependence": "deferred"})
+    result = run(tmp_path / "field", "--configurations", "32x1,64x2,64x0", "--out", tmp_path / "out", bench="estimate")
+    assert result.returncode == 0, result.stderr
+    assert "| field | voxels | samples |" in result.stdout and "| `preview_factor` | 0.85 |" in result.stdout
+    value = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert len(value["rows"]) == 3 and value["fitted_to"]["preview_factor"] == 3 and value["coefficients"]["ray_overhead"] == 6
