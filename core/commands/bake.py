@@ -63,6 +63,7 @@ def bake_scene(
 
 
 def check_settings(settings: BakeSettings, field: Field) -> None:
+    """Raise SnergError for settings that the field cannot be baked with, or that change nothing in it."""
     check_voxel_size(settings, field)
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
