@@ -61,7 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     for path in fields:
         probe = probe_field(read_field(path))
         for resolution, samples in chosen:
-            row, measurement = compare(path, probe, BakeSettings(resolution=resolution, samples=samples), options.out / "estimate")
+            row, measurement = compare(path, probe, BakeSettings(resolution=resolution, supersampling=samples), options.out / "estimate")
             results.append(row)
             measurements.append(measurement)
             (options.out / "estimate.json").write_text(json.dumps({"machine": machine, "rows": results}, indent=1) + "\n")
@@ -76,11 +76,11 @@ def main(arguments: list[str] | None = None) -> int:
 def compare(path: Path, probe: FieldProbe, settings: BakeSettings, folder: Path) -> tuple[dict[str, Any], Measurement]:
     """A configuration, estimated and then baked: its row, and what to fit coefficients to."""
     name = path.parent.name if path.name == "field" else path.name
-    print(f"{name}: {settings.resolution} voxels, {settings.samples or 'auto'} samples ...", file=sys.stderr, flush=True)
+    print(f"{name}: {settings.resolution} voxels, {settings.supersampling or 'auto'} samples ...", file=sys.stderr, flush=True)
     began = time.perf_counter()
     estimated = estimate(probe, probe.field.domain.world_box(), settings, refine=False)
     took = time.perf_counter() - began
-    size = ("--resolution", str(settings.resolution), "--samples", str(settings.samples))
+    size = ("--resolution", str(settings.resolution), "--samples", str(settings.supersampling))
     result, peak = snerg("bake", str(path), *size, "--no-refine", "--out", str(folder / "scene"))
     preview, tables = timed_preview(probe, folder / "scene")
     seconds = {"bake": result["seconds"]["bake"], "preview": preview, "tables": tables}
@@ -90,7 +90,7 @@ def compare(path: Path, probe: FieldProbe, settings: BakeSettings, folder: Path)
     row = {
         "field": name,
         "resolution": settings.resolution,
-        "samples": settings.samples,
+        "samples": settings.supersampling,
         "survey_seconds": probe.seconds,
         "estimate_seconds": took,
         "pairs": {name: [pair.estimated, pair.measured, pair.error] for name, pair in pairs.items()},

@@ -40,7 +40,7 @@ class Measurement:
 
 def fit(measurements: Sequence[Measurement]) -> tuple[Coefficients, dict[str, int]]:
     """The coefficients that fit best, and of how many measurements each fitted one is."""
-    fixed = [m for m in measurements if m.settings.samples]  # the others choose their samples within the prefilter stage
+    fixed = [m for m in measurements if m.settings.supersampling]  # the others choose their samples within the prefilter stage
     finer = [m for m in measurements if abs(np.log(_finer(m))) > np.log(MIN_FINER)]
     values: dict[str, list[float]] = {
         "occupancy_start": [_solve(m, "occupancy_start", _occupancy, m.occupancy) for m in measurements],

@@ -41,10 +41,12 @@ class Cancelled(SnergError):
 
 @contextmanager
 def needs_jax() -> Iterator[None]:
-    """Turn a missing JAX into a sentence."""
+    """Raise a SnergError that says what to install, in place of the ImportError for a missing JAX or optax."""
     try:
         yield
     except ImportError as error:
+        if "optax" in str(error):
+            raise SnergError("Baking needs optax, which is not installed in this Python: run 'pip install optax'.") from error
         if "jax" not in str(error):
             raise
         raise SnergError("Training and baking need JAX, which is not installed in this Python: run 'pip install jax'.") from error

@@ -9,15 +9,18 @@ def classes() -> tuple[type[Any], ...]:
     """Every operator, for registration. Imported here, because the package must import without Blender."""
     from . import (
         add_box,
+        add_scene,
         bake,
         cancel,
         estimate,
         export_scene,
+        export_vdb,
         export_web,
         import_dataset,
         import_field,
         import_scene,
         open_folder,
+        pack_scene,
         preview,
         quit,
         render_dataset,
@@ -27,7 +30,7 @@ def classes() -> tuple[type[Any], ...]:
     )
 
     modules = (
-        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, preview, study),
-        *(export_scene, export_web, versions, cancel, quit, open_folder),
+        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
+        *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -12,6 +12,7 @@ from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.scene_object import show_scene
 from .task_operator import TaskOperator, awaited
 
 
@@ -38,6 +39,7 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
         quality = about.get("refine", {}).get("psnr_after")
         folder = project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
+        show_scene(scene, project, folder)
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
         return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
+from ..snerg_addon.project import Project
+from ..snerg_addon.scene_object import show_scene
 from .import_operator import ImportOperator
 
 
@@ -15,3 +19,9 @@ class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
     step, label = "bake", "Importing the scene"
     key, noun = "scene", "baked scene"
+
+    def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
+        """Record the new version, put it in use, and show it."""
+        sentence = super().finish(scene, project, result)
+        show_scene(scene, project, project.version_made(self.key, result["to"]))
+        return sentence

@@ -48,7 +48,7 @@ def lines(context: bpy.types.Context) -> list[str]:
     settings, box = context.scene.snerg, box_of(context.scene)
     try:
         volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
-        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, samples=settings.samples)
+        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
         return _lines(probe, volume, wanted, settings.refine, resolution(context.scene))
     except SnergError as error:
         return [str(error)]

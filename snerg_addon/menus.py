@@ -7,9 +7,9 @@ import bpy
 STEPS = (
     ("snerg.render_dataset", "snerg.use_views", "snerg.import_dataset"),
     ("snerg.train", "snerg.import_field"),
-    ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene"),
+    ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene", "snerg.add_scene"),
     ("snerg.preview", "snerg.study"),
-    ("snerg.export_web", "snerg.export_scene"),
+    ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
 )
 
 
@@ -28,6 +28,11 @@ class SNERG_MT_steps(bpy.types.Menu):
                 self.layout.operator(operator)
 
 
+def draw_add(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """Draw the entry in the Add menu."""
+    self.layout.operator("snerg.add_scene", icon="OUTLINER_OB_VOLUME")
+
+
 def draw_entry(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """Draw the submenu in the 3D view's Object menu."""
     self.layout.separator()
@@ -35,12 +40,14 @@ def draw_entry(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
 
 
 def register() -> None:
-    """Append the submenu."""
+    """Append the submenu and the entry."""
     bpy.types.VIEW3D_MT_object.append(draw_entry)
+    bpy.types.VIEW3D_MT_add.append(draw_add)
 
 
 def unregister() -> None:
-    """Remove the submenu."""
+    """Remove the submenu and the entry."""
+    bpy.types.VIEW3D_MT_add.remove(draw_add)
     bpy.types.VIEW3D_MT_object.remove(draw_entry)
 
 

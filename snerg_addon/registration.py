@@ -8,9 +8,18 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, menus, panels, properties, saving
+from . import command, engine, menus, panels, preferences, properties, saving, scene_object
+from .viewport import draw
 
-CLASSES = (*properties.CLASSES, *operators.classes(), *panels.CLASSES, *menus.CLASSES)
+CLASSES = (
+    preferences.SNERG_AP_preferences,
+    *properties.CLASSES,
+    scene_object.SNERG_PG_object,
+    engine.SNERG_RE_engine,
+    *operators.classes(),
+    *panels.CLASSES,
+    *menus.CLASSES,
+)
 _commands: list[Any] = []
 
 
@@ -19,21 +28,25 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
+    bpy.types.Object.snerg = bpy.props.PointerProperty(type=scene_object.SNERG_PG_object)
     menus.register()
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
     quit.add_keys()
     saving.register()
     watch.register()
+    draw.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse order."""
+    draw.unregister()
     watch.unregister()
     saving.unregister()
     quit.remove_keys()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     menus.unregister()
+    del bpy.types.Object.snerg
     del bpy.types.Scene.snerg
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

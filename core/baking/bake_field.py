@@ -1,4 +1,4 @@
-"""Baking a field and fine-tuning the network of the scene on the training images (JAX)."""
+"""Bakes a field, then fine-tunes the scene's network on the training images. Uses JAX."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def bake_field(
     progress: Progress = silent,
     resume: Path | None = None,
 ) -> tuple[Scene, dict[str, float]]:
-    """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX).
+    """Bake a field inside a box, and fine-tune the scene's network if there is a dataset.
 
-    resume: see grid.bake.bake.
+    resume: see `bake`. Returns the scene and the seconds of each stage, {"bake"} or {"bake", "refine"}. Raises SnergError without JAX.
     """
     with needs_jax():
         from .bake import bake

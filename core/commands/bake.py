@@ -98,7 +98,7 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bake`."""
     settings = BakeSettings(
         resolution=options.resolution,
-        samples=options.samples,
+        supersampling=options.samples,
         voxel_size=options.voxel_size,
         visibility=options.visibility,
         quantise=options.quantise,

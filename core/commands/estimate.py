@@ -94,7 +94,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg estimate`."""
     training = settings_of(options.preset, options.minutes, options.steps, 0, {})
-    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, samples=options.samples)
+    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, supersampling=options.samples)
     size = options.width, options.height
     return estimate(options.path, training, settings, options.box, options.refine, size, probe=options.probe, progress=progress)
 

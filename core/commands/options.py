@@ -77,7 +77,7 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--samples",
         type=samples,
-        default=default.samples,
+        default=default.supersampling,
         metavar="K",
         help="samples a voxel; auto (default): doubled until the error stops falling",
     )

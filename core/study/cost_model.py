@@ -131,7 +131,7 @@ def _count(probe: FieldProbe, box: Box, settings: BakeSettings) -> _Counts:
         held=held,
         kept=kept,
         blocks=count_blocks((cubes, cube_size), grid) if len(cubes) else 0,
-        samples=int(settings.samples or probe.samples[int(np.abs(np.log(probe.voxels / grid.voxel_size)).argmin())]),
+        samples=int(settings.supersampling or probe.samples[int(np.abs(np.log(probe.voxels / grid.voxel_size)).argmin())]),
         channels=DEFERRED_CHANNELS if settings.network and field.network is not None else DIFFUSE_CHANNELS,
         finer=probe.pilot / grid.voxel_size,
     )
@@ -154,7 +154,7 @@ def _stage_seconds(probe: FieldProbe, counts: _Counts, settings: BakeSettings, c
     their samples.
     """
     rates, tested = probe.rates, 0
-    if settings.samples == AUTO_SUPERSAMPLING:
+    if settings.supersampling == AUTO_SUPERSAMPLING:
         tested = TEST_RAYS * TEST_RAY_VOXELS * (REFERENCE_SAMPLES_PER_VOXEL + 8 * (min(4 * counts.samples, 2 * MAX_SUPERSAMPLING) - 1))
     candidates = int(candidate_blocks(probe.coarse, counts.grid).sum()) * DATA_VOXELS**3
     return {
@@ -186,7 +186,9 @@ def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficien
 
     A step's time is measured by queries of an untrained field of the same kind; reading images, by the first image.
     """
-    samples = settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
+    samples = (
+        settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
+    )
     step = coefficients.step_queries * samples * query_seconds(settings)
     began = time.perf_counter()
     dataset.read(0)

@@ -265,7 +265,7 @@ def small_resolution(field: Field) -> int:
 
 def small_bake(field: Field, box: Box, resolution: int) -> Scene:
     """A bake with 1 sample a voxel and a few of the cameras, without opacity correction (equation 9)."""
-    settings = BakeSettings(resolution=resolution, samples=1, opacity_correction=False)
+    settings = BakeSettings(resolution=resolution, supersampling=1, opacity_correction=False)
     return bake(field, box, field.cameras[:: max(1, len(field.cameras) // PILOT_CAMERAS)], settings)
 
 

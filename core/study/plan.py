@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,13 +57,13 @@ class Configuration:
         march = {"tolerance": self.march.tolerance, "stop_transmittance": self.march.stop_transmittance}
         march |= {"per_sample_network": self.march.per_sample_network}
         rest = {"refine": self.refine, "codec": self.codec.to_json(), "field": self.field, "page": self.page}
-        return {"bake": asdict(self.bake), "version": BAKE_VERSION, "march": march, **rest}
+        return {"bake": self.bake.to_json(), "version": BAKE_VERSION, "march": march, **rest}
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Configuration:
         """The configuration that `to_json` wrote. Raises KeyError or TypeError on other values."""
         return cls(
-            BakeSettings(**value["bake"]),
+            BakeSettings.from_json(value["bake"]),
             value["refine"],
             CodecSettings.from_json(value["codec"]),
             MarchSettings(**value["march"]),
@@ -155,9 +155,9 @@ def _variations_of_bake(baseline: Configuration, cameras: bool) -> Iterator[tupl
     baked = baseline.bake
     yield baseline, BITS, "8"
     yield with_bake(baseline, quantise=False), BITS, "32"
-    yield baseline, SAMPLES, "auto" if baked.samples == AUTO_SUPERSAMPLING else str(baked.samples)
-    for count in sorted({1, 2, 4, 8} - {baked.samples}):
-        yield with_bake(baseline, samples=count), SAMPLES, str(count)
+    yield baseline, SAMPLES, "auto" if baked.supersampling == AUTO_SUPERSAMPLING else str(baked.supersampling)
+    for count in sorted({1, 2, 4, 8} - {baked.supersampling}):
+        yield with_bake(baseline, supersampling=count), SAMPLES, str(count)
     for alpha in sorted({baked.alpha_threshold, 0.001, 0.02, 0.1}):
         yield with_bake(baseline, alpha_threshold=alpha), ALPHA, f"{alpha:g}"
     if cameras:

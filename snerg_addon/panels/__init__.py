@@ -9,6 +9,7 @@ from .export import SNERG_PT_export
 from .field import SNERG_PT_field
 from .main import SNERG_PT_main
 from .preview import SNERG_PT_preview
+from .scene_object import SNERG_PT_object
 from .study import SNERG_PT_study
 
 CLASSES = (
@@ -20,4 +21,5 @@ CLASSES = (
     SNERG_PT_preview,
     SNERG_PT_study,
     SNERG_PT_export,
+    SNERG_PT_object,
 )

@@ -132,7 +132,7 @@ def train(folder: Path, dataset: Path) -> Command:
 
 def bake(folder: Path, dataset: Path) -> Command:
     train_field(dataset, folder / "field", steps=12)
-    bake_scene(folder / "field", folder / "old", BakeSettings(40, samples=1), refine=False)
+    bake_scene(folder / "field", folder / "old", BakeSettings(40, supersampling=1), refine=False)
     arguments = ["bake", str(folder / "field"), "--resolution", "80", "--samples", "1", "--no-refine"]
     return Command(arguments, "%", scene_state)
 

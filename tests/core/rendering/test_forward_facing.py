@@ -106,7 +106,7 @@ def seen_in_the_world(camera, frame):
 def planes():
     field = Planes(HashModelConfig(), {}, None, Domain.around(np.full(3, -1.0), np.full(3, 1.0)), None, 2 / 512, ndc=FRAME)
     cameras, fine = make_forward_cameras(FRAME)[:2], make_forward_cameras(FRAME, 96, 72)[:2]
-    return field, bake(field, field.domain.world_box(), fine, BakeSettings(128, samples=2)), cameras
+    return field, bake(field, field.domain.world_box(), fine, BakeSettings(128, supersampling=2)), cameras
 
 
 @pytest.mark.parametrize("index", [0, 1])
@@ -121,9 +121,9 @@ def test_planes_of_the_world_are_where_they_are(planes, index, kind):
     assert np.abs(frame.depth / distance - 1)[clear].max() < 0.06  # a voxel is a 25th of the distance to the plane behind
 
 
-def test_what_no_camera_sees_is_left_out(planes):
+def test_invisible_voxels_are_culled(planes):
     field, seen, cameras = planes
-    whole = bake(field, field.domain.world_box(), (), BakeSettings(128, samples=2))
+    whole = bake(field, field.domain.world_box(), (), BakeSettings(128, supersampling=2))
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
     assert filled[1] < 0.8 * filled[0]  # behind the front plane, but for its window
     for camera in cameras:
@@ -157,7 +157,7 @@ def test_equation_9_is_taken_where_it_brings_rays_nearer_to_the_field(thickness,
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
     field = Veil(HashModelConfig(), {}, None, domain, None, 2 / 512, ndc=FRAME, thickness=thickness, density=density)
     box, cameras = field.domain.world_box(), make_forward_cameras(FRAME)[:2]
-    scene = bake(field, box, cameras, BakeSettings(64, samples=8))
+    scene = bake(field, box, cameras, BakeSettings(64, supersampling=8))
     errors = scene.about["bake"]["holes"]
     assert scene.opacity_correction is wanted and (errors["with"] < errors["without"]) is wanted
     truth = render_field(field, cameras[0]).over()
@@ -165,5 +165,5 @@ def test_equation_9_is_taken_where_it_brings_rays_nearer_to_the_field(thickness,
         fill: np.abs(render_scene(replace(scene, opacity_correction=fill), cameras[0]).over() - truth).mean() for fill in (True, False)
     }
     assert distance[wanted] < 0.7 * distance[not wanted]
-    assert bake(field, box, (), BakeSettings(64, samples=8)).opacity_correction  # without cameras, as in the paper
-    assert bake(field, box, cameras, BakeSettings(64, samples=8, opacity_correction=not wanted)).opacity_correction is not wanted
+    assert bake(field, box, (), BakeSettings(64, supersampling=8)).opacity_correction  # without cameras, as in the paper
+    assert bake(field, box, cameras, BakeSettings(64, supersampling=8, opacity_correction=not wanted)).opacity_correction is not wanted

@@ -53,7 +53,7 @@ def test_a_mask_grows_across_block_borders(blocks):
 
 
 @pytest.mark.hard_case(34)
-def test_a_block_without_voxels_keeps_its_neighbours_tent():
+def test_a_block_without_voxels_keeps_its_neighbours_stencils():
     """A voxel is in the 32^3 of every block that it touches, over faces, edges and corners."""
     mask = np.zeros((3, 3, 3), bool)
     mask[1, 1, 1] = True
@@ -68,7 +68,7 @@ def test_a_block_without_voxels_keeps_its_neighbours_tent():
 
 
 @pytest.mark.hard_case(45, 46, 54, 57)
-def test_empty_blocks_are_dropped_and_none_is_left_out():
+def test_empty_blocks_are_dropped():
     assert not touched_blocks(np.zeros((4, 30, 30), np.uint32), number_blocks(np.ones((2, 2, 1), bool))).any()
 
 
@@ -84,7 +84,7 @@ def test_thin_fog_keeps_its_colour(alpha):
     assert not stored[stored[:, -1] == 0].any()
 
 
-def test_jitter_belongs_to_the_voxel():
+def test_jitter_is_a_function_of_the_voxel():
     voxels = np.random.default_rng(0).integers(0, 4000, (20_000, 3))
     uniform, normal = voxel_uniform(voxels, 8, 3), voxel_normal(voxels, 2, 3)
     assert np.array_equal(voxel_uniform(voxels[7:9], 8, 3), uniform[7:9])

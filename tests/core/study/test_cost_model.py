@@ -77,7 +77,7 @@ def probed():
 def test_what_is_counted_is_what_is_baked(probed, resolution):
     from snerg.core.study.cost_model import estimate
 
-    settings = BakeSettings(resolution=resolution, samples=1)
+    settings = BakeSettings(resolution=resolution, supersampling=1)
     said, told = estimate(probed, BOX, settings), bake(probed.field, BOX, probed.field.cameras, settings).about["bake"]
     assert said.held == pytest.approx(told["voxels"]["held"], rel=0.1)
     assert said.kept == pytest.approx(told["voxels"]["seen"], rel=0.25) and said.kept < 0.9 * said.held  # the inside is seen by none
@@ -100,12 +100,12 @@ def test_a_smaller_box_takes_less(probed):
 def test_what_is_left_out_is_not_counted(probed):
     from snerg.core.study.cost_model import estimate
 
-    whole = estimate(probed, BOX, BakeSettings(resolution=200, samples=4))
-    matte = estimate(probed, BOX, BakeSettings(resolution=200, samples=4, network=False))
+    whole = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4))
+    matte = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4, network=False))
     assert matte.megabytes == pytest.approx(whole.megabytes / 2) and matte.peak_megabytes < whole.peak_megabytes
-    floats = estimate(probed, BOX, BakeSettings(resolution=200, samples=4, quantise=False))
+    floats = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4, quantise=False))
     assert floats.peak_megabytes > whole.peak_megabytes
-    assert estimate(probed, BOX, BakeSettings(resolution=200, samples=8)).bake > whole.bake
+    assert estimate(probed, BOX, BakeSettings(resolution=200, supersampling=8)).bake > whole.bake
     assert 0.2 < estimate(probed, BOX, size=(400, 400)).preview / estimate(probed, BOX).preview < 0.4
 
 
@@ -206,9 +206,9 @@ def test_coefficients_are_found_again_from_what_they_estimate(probed, monkeypatc
     )
     measurements = []
     for resolution, samples in ((64, 1), (128, 4), (256, 2), (256, 0)):
-        made = fit.Measurement(probed, BakeSettings(resolution=resolution, samples=samples), 0.0, 0.0, 0.0, 0.0, None).estimate(true)
+        made = fit.Measurement(probed, BakeSettings(resolution=resolution, supersampling=samples), 0.0, 0.0, 0.0, 0.0, None).estimate(true)
         seconds = made.seconds["start"] + made.seconds["occupancy"], made.seconds["prefilter"]
-        settings = BakeSettings(resolution=resolution, samples=samples)
+        settings = BakeSettings(resolution=resolution, supersampling=samples)
         measurements.append(fit.Measurement(probed, settings, *seconds, made.preview, made.megabytes, made.peak_megabytes))
     found, counts = fit.fit(measurements)
     assert counts["preview_factor"] == 4 and counts["prefilter_factor"] == 3 and "ray_overhead" not in counts

@@ -87,7 +87,7 @@ def test_the_loss_for_hard_surfaces_makes_light_end_sooner(views, tmp_path):
     told = []
     for hardness in (0.0, 5e-3):
         field = train(views, replace(settings, hardness=hardness), tmp_path / f"{hardness}")
-        told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, samples=1)).about["bake"])
+        told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, supersampling=1)).about["bake"])
     soft, hard = told
     assert hard["light"]["voxels"] < 0.8 * soft["light"]["voxels"] and hard["light"]["passes"] < soft["light"]["passes"]
     assert hard["voxels"]["seen"] < 0.8 * soft["voxels"]["seen"]

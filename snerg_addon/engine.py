@@ -1,0 +1,190 @@
+"""The render engine SNeRG: F12, animations and background renders of SNeRG objects, by the marcher that `snerg render` uses."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import bpy
+import numpy as np
+
+from ..core.errors import Cancelled, SnergError
+from ..core.geometry.camera import Camera
+from ..core.io.images import linear_to_srgb, srgb_to_linear
+from ..core.nerf.frame import Frame
+from ..core.progress import Progress
+from ..core.rendering.render import render_scene
+from ..core.scene.scene import Scene
+from .bridge import camera_from_blender
+from .scene_object import placed_camera, source_of
+from .viewport.loading import cached
+
+BAND = 64  # rows of pixels that are rendered, and shown, together
+NO_DEPTH = 1e10  # what Blender's depth pass has where nothing is
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An object of a frame: its scene, where it stands, its scale there and its pass index."""
+
+    scene: Scene
+    camera: Camera
+    scale: float
+    index: int
+
+
+class SNERG_RE_engine(bpy.types.RenderEngine):
+    """Renders the baked scenes of SNeRG objects, and nothing else."""
+
+    bl_idname = "SNERG"
+    bl_label = "SNeRG"
+    bl_use_preview = False
+    bl_use_gpu_context = False
+
+    def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer: bpy.types.ViewLayer | None = None) -> None:
+        """The passes that a view layer asks for."""
+        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
+        for name, wanted in (("Depth", "use_pass_z"), ("IndexOB", "use_pass_object_index")):
+            if getattr(renderlayer, wanted, False):
+                self.register_pass(scene, renderlayer, name, 1, "Z" if name == "Depth" else "X", "VALUE")
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """One view layer of one frame."""
+        try:
+            self._render(depsgraph)
+        except Cancelled:
+            pass
+        except SnergError as error:
+            self.report({"ERROR"}, str(error))
+        except Exception as error:
+            traceback.print_exception(error)
+            self.report({"ERROR"}, f"The render went wrong ({type(error).__name__}: {error}); Blender's console says where.")
+
+    def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        scene = depsgraph.scene_eval
+        if scene.camera is None:
+            raise SnergError(f"The scene {scene.name!r} has no camera; add one, or choose one in the scene's properties.")
+        camera = bordered(camera_from_blender(scene.camera, scene, depsgraph), scene.render)
+        things = list(placed(depsgraph, camera))
+        background = None if scene.render.film_transparent else world_colour(scene)
+        for top in range(0, camera.height, BAND):
+            band = rows_of(camera, top, min(BAND, camera.height - top))
+            frames = [
+                render_scene(thing.scene, rows_of(thing.camera, top, band.height), progress=self._tell(top, camera.height))
+                for thing in things
+            ]
+            self._write(depsgraph.view_layer_eval.name, camera.height - top - band.height, merged(frames, things, band), background)
+            self.update_progress((top + band.height) / camera.height)
+
+    def _tell(self, top: int, height: int) -> Progress:
+        def tell(fraction: float, text: str, /) -> None:
+            if self.test_break():
+                raise Cancelled("Stopped as you asked.")
+            self.update_progress((top + fraction * BAND) / height)
+
+        return tell
+
+    def _write(self, layer: str, bottom: int, picture: Picture, background: np.ndarray | None) -> None:
+        """A band of rows into the render result, whose first row is the lowest."""
+        height, width = picture.alpha.shape
+        result = self.begin_result(0, bottom, width, height, layer=layer)
+        values = {"Combined": picture.linear(background), "Depth": picture.depth, "IndexOB": picture.index}
+        for part in result.layers[0].passes:
+            if part.name in values:
+                part.rect.foreach_set(np.ascontiguousarray(values[part.name][::-1], np.float32).reshape(-1))
+        self.end_result(result)
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Nothing: the viewport draws SNeRG objects in every mode (viewport/draw.py)."""
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Nothing; see `view_update`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Rows of a frame: colour [H, W, 3] display-referred and premultiplied, alpha, depth along the view axis and pass index [H, W]."""
+
+    colour: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    index: np.ndarray
+
+    def linear(self, background: np.ndarray | None) -> np.ndarray:
+        """[H, W, 4] scene-linear and premultiplied, as Blender keeps it; over a display-referred colour [3] where there is one.
+
+        Translucent colours are laid over the background as they are displayed, as the web page does it, and converted once.
+        """
+        alpha = self.alpha[..., None]
+        if background is not None:
+            shown = np.clip(self.colour + (1 - alpha) * background, 0, 1)
+            return np.concatenate([srgb_to_linear(shown), np.ones_like(alpha)], axis=-1)
+        straight = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
+        return np.concatenate([srgb_to_linear(straight) * alpha, alpha], axis=-1)
+
+
+def bordered(camera: Camera, render: bpy.types.RenderSettings) -> Camera:
+    """The part of a camera's picture that the render border leaves."""
+    if not render.use_border:
+        return camera
+    left, right = (round(edge * camera.width) for edge in (render.border_min_x, render.border_max_x))
+    bottom, top = (round(edge * camera.height) for edge in (render.border_min_y, render.border_max_y))
+    centre = camera.centre[0] - left, camera.centre[1] - (camera.height - top)
+    return replace(camera, width=max(right - left, 1), height=max(top - bottom, 1), centre=centre)
+
+
+def rows_of(camera: Camera, top: int, count: int) -> Camera:
+    """`count` rows of a camera's picture, from row `top`."""
+    return replace(camera, height=count, centre=(camera.centre[0], camera.centre[1] - top))
+
+
+def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
+    """What of SNeRG objects, instances too, is in a frame. Raises SnergError where one cannot be rendered."""
+    for instance in depsgraph.object_instances:
+        thing = instance.object
+        if thing.type != "EMPTY" or not thing.snerg.folder or not instance.show_self:
+            continue
+        matrix = np.array(instance.matrix_world, np.float64)
+        scene = cached(source_of(thing.original))
+        moved, scale = placed_camera(thing.name, scene, matrix, camera)
+        yield Placed(scene, moved, scale, thing.pass_index)
+
+
+def merged(frames: list[Frame], things: list[Placed], camera: Camera) -> Picture:
+    """The objects' frames over each other, at each pixel the nearest first."""
+    shape = camera.height, camera.width
+    if not frames:
+        return Picture(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, NO_DEPTH), np.zeros(shape))
+    depths = np.stack([frame.depth * thing.scale for frame, thing in zip(frames, things, strict=True)])
+    order = np.argsort(depths, axis=0, kind="stable")
+
+    def sorted_(values: list[np.ndarray]) -> np.ndarray:
+        stacked = np.stack(values)
+        rows = order.reshape(*order.shape, *(1,) * (stacked.ndim - order.ndim))
+        return np.take_along_axis(stacked, rows, axis=0)
+
+    colours, alphas = sorted_([frame.colour for frame in frames]), sorted_([frame.alpha for frame in frames])
+    indices = sorted_([np.full(shape, thing.index) for thing in things])
+    depths = np.take_along_axis(depths, order, axis=0)
+    colour, transmittance = np.zeros((*shape, 3)), np.ones(shape)
+    depth, weight = np.zeros(shape), np.zeros(shape)
+    for each in range(len(frames)):
+        colour += transmittance[..., None] * colours[each]
+        part = transmittance * alphas[each]
+        depth += np.where(part > 0, part * np.where(np.isfinite(depths[each]), depths[each], 0), 0)
+        weight += part
+        transmittance = transmittance * (1 - alphas[each])
+    mean = np.where(weight > 0, depth / np.maximum(weight, 1e-6) * axis_cosines(camera), NO_DEPTH)
+    return Picture(colour, 1 - transmittance, mean, np.where(alphas[0] > 0.5, indices[0], 0))
+
+
+def axis_cosines(camera: Camera) -> np.ndarray:
+    """[H, W]: what a length along a pixel's ray is along the view axis."""
+    _, directions = camera.rays()
+    return (directions @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
+
+
+def world_colour(scene: bpy.types.Scene) -> np.ndarray:
+    """What stands behind everything, display-referred [3]: the world's colour, black where there is none."""
+    return linear_to_srgb(np.clip(np.array(scene.world.color if scene.world else (0, 0, 0), np.float64), 0, 1))

@@ -1,0 +1,52 @@
+"""The panel of a SNeRG object, in the properties editor's Object tab."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import packing
+from ..scene_object import problem_of, source_of
+from ..viewport import draw
+from ..viewport.loading import loaded
+from .layout import draw_box, draw_sentence
+
+
+class SNERG_PT_object(bpy.types.Panel):
+    """The baked scene that the object shows"""
+
+    bl_label = "SNeRG"
+    bl_idname = "SNERG_PT_object"
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "object"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether the object shows a baked scene."""
+        return context.object is not None and context.object.type == "EMPTY" and bool(context.object.snerg.folder)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The folder, what is wrong with it, and what the scene holds."""
+        layout, thing = self.layout, context.object
+        layout.use_property_split = True
+        layout.prop(thing.snerg, "folder")
+        if packing.is_packed(thing):
+            layout.operator("snerg.unpack_scene", icon="PACKAGE")
+        else:
+            layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
+        entry = loaded(source_of(thing))
+        if problem := problem_of(thing) or entry.problem:
+            draw_sentence(layout, problem, "ERROR")
+        elif entry.scene is None:
+            layout.label(text="Reading the scene", icon="TIME")
+        else:
+            layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
+            voxels = " x ".join(str(n) for n in entry.scene.shape)
+            kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
+            if not draw.fits(entry.scene):
+                draw_sentence(layout, "The viewport does not draw it: it needs more graphics memory than the preferences allow", "ERROR")
+            draw_box(
+                layout,
+                f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
+                f"{draw.memory() / 2**20:.1f} MB of graphics memory in all",
+            )

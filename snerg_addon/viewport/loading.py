@@ -1,0 +1,84 @@
+"""Baked scenes by their folder, read in a thread, so that the window stays free; read again when their files change."""
+
+from __future__ import annotations
+
+import threading
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...core.artifact import open_scene
+from ...core.errors import SnergError
+from ...core.scene.scene import Scene
+
+
+@dataclass
+class Loaded:
+    """A folder's scene once it is read; problem: why it cannot be shown, one sentence. Both empty: it is being read."""
+
+    stamp: int
+    scene: Scene | None = None
+    problem: str = ""
+    thread: threading.Thread | None = None
+
+
+_known: dict[Path, Loaded] = {}
+
+
+def loaded(folder: Path) -> Loaded:
+    """What is known of the scene in a folder; the first time it begins to be read. Never raises."""
+    stamp = _stamp(folder)
+    found = _known.get(folder)
+    if found is None or found.stamp != stamp:
+        found = _known[folder] = Loaded(stamp)
+        if stamp == 0:
+            found.problem = f"There is no baked scene in {folder}; choose another folder, or bake again."
+        else:
+            found.thread = threading.Thread(target=_read, args=(folder, found), daemon=True)
+            found.thread.start()
+    return found
+
+
+def cached(folder: Path) -> Scene:
+    """The scene in a folder, read now where it has not been yet. Raises SnergError when it cannot be."""
+    entry = loaded(folder)
+    if entry.thread is not None:
+        entry.thread.join()
+    if entry.scene is None:
+        raise SnergError(entry.problem)
+    return entry.scene
+
+
+def reading() -> bool:
+    """Whether a scene is being read now."""
+    return any(entry.scene is None and not entry.problem for entry in _known.values())
+
+
+def in_use(scene: Scene) -> bool:
+    """Whether a folder's files are still those of this scene."""
+    return any(entry.scene is scene for entry in _known.values())
+
+
+def forget() -> None:
+    """Let go of every scene."""
+    _known.clear()
+
+
+def _stamp(folder: Path) -> int:
+    """Another number when the folder's files were written again, 0 where it has none."""
+    for name in ("scene.json", "scene_params.json", "scene/scene.json"):
+        try:
+            return (folder / name).stat().st_mtime_ns
+        except OSError:
+            continue
+    return 0
+
+
+def _read(folder: Path, entry: Loaded) -> None:
+    try:
+        entry.scene = open_scene(folder)
+    except SnergError as error:
+        entry.problem = str(error)
+    except Exception as error:  # said on the object, and in the console
+        traceback.print_exception(error)
+        entry.problem = f"{folder} cannot be shown ({type(error).__name__}: {error}); Blender's console says where."

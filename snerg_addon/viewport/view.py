@@ -1,0 +1,86 @@
+"""What the shader must know of a view: rays in voxels along the axes of a baked scene that stands where its object does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.scene.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """A picture's rays in the camera's own axes: the plane at distance 1 is ndc * scale + offset, x right and y up (parallel rays: the
+    plane itself, in world units). near, far: clip planes, world units along the view axis. matrix: [4, 4], the camera to clip space.
+    """
+
+    scale: tuple[float, float]
+    offset: tuple[float, float]
+    parallel: bool
+    near: float
+    far: float
+    matrix: np.ndarray
+
+    @classmethod
+    def from_matrix(cls, window: np.ndarray) -> Projection:
+        """From Blender's window matrix [4, 4] of a viewport or a camera: x_ndc = (P00 x + P02 z + P03) / w."""
+        p = np.asarray(window, np.float64)
+        parallel = bool(abs(p[3, 2]) < 1e-12)
+        side = p[:2, 3] if parallel else p[:2, 2]
+        x, y = (-side if parallel else side) / (p[0, 0], p[1, 1])
+        corners = np.linalg.inv(p) @ np.array([[0, 0], [0, 0], [-1, 1], [1, 1]], np.float64)
+        near, far = -corners[2] / corners[3]
+        return cls((1 / p[0, 0], 1 / p[1, 1]), (float(x), float(y)), parallel, float(near), float(far), p)
+
+
+def placed(scene: Scene, matrix: np.ndarray) -> np.ndarray:
+    """[4, 4] float64, the scene's grid to the world, where its object has the world matrix [4, 4]: the object's own axes are those of
+    the box that was baked, in the units in which it was baked."""
+    return np.asarray(matrix, np.float64) @ np.linalg.inv(scene.box.box_to_world) @ scene.grid_to_world
+
+
+def even_scale(matrix: np.ndarray, tolerance: float = 1e-4) -> float | None:
+    """The scale of a world matrix [4, 4]; None where it is uneven, sheared, mirrored or 0, which a grid of cubes cannot follow."""
+    axes = np.asarray(matrix, np.float64)[:3, :3]
+    scale = float(np.cbrt(np.linalg.det(axes)))
+    if not np.isfinite(scale) or scale <= 1e-12:
+        return None
+    return scale if np.abs(axes.T @ axes / scale**2 - np.eye(3)).max() < tolerance else None
+
+
+def uniforms(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, projection: Projection) -> np.ndarray:
+    """The shader's View [12, 4] float32 (see shader.py).
+
+    matrix: of the scene's object, evenly scaled. camera_to_world: [4, 4], any scale in it is left out, as Blender does.
+    """
+    grid, camera = placed(scene, matrix), np.array(camera_to_world, np.float64)
+    camera[:3, :3] /= np.linalg.norm(camera[:3, :3], axis=0)
+    scale = float(np.cbrt(np.linalg.det(grid[:3, :3])))
+    voxel = scene.voxel_size * scale
+    turn = grid[:3, :3] / scale
+    axes = turn.T @ camera[:3, :3]
+    eye = turn.T @ (camera[:3, 3] - grid[:3, 3]) / voxel
+    trained = scene.view_rotation @ scene.grid_to_world[:3, :3] @ axes  # the world as it was when the scene was baked
+    unit = voxel if projection.parallel else 1.0
+    found = np.zeros((12, 4))
+    found[0:3, :3], found[3:6, :3] = axes.T, trained.T
+    found[6] = [*eye, projection.parallel]
+    found[7] = [*np.divide(projection.scale, unit), *np.divide(projection.offset, unit)]
+    found[8, :3] = projection.near / voxel, projection.far / voxel, scene.near / scene.voxel_size
+    found[9, :3], found[10, :3] = scene.shape, scene.indirection.shape
+    found[11] = voxel
+    return found.astype(np.float32)
+
+
+def screen_rows(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, projection: Projection, height: int) -> tuple[int, int]:
+    """(first, count): the rows of a picture, from the bottom, in which a scene can be seen; all where it reaches behind the camera."""
+    shape, signs = np.array(scene.shape), np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
+    corners = np.concatenate([signs * shape * scene.voxel_size, np.ones((8, 1))], axis=1)
+    camera = np.array(camera_to_world, np.float64)
+    clip = corners @ (projection.matrix @ np.linalg.inv(camera) @ placed(scene, matrix)).T
+    if (clip[:, 3] <= 1e-9).any():
+        return 0, height
+    rows = (clip[:, 1] / clip[:, 3] + 1) / 2 * height
+    first = int(np.clip(np.floor(rows.min()), 0, height))
+    return first, int(np.clip(np.ceil(rows.max()), 0, height)) - first

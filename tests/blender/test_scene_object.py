@@ -1,0 +1,123 @@
+"""The SNeRG object: made where the scene's box stood, kept by the file, its folder's problems said."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from scenes import make_snerg
+from snerg.core.export.scene_files import write_scene
+from snerg.snerg_addon.packing import is_packed
+from snerg.snerg_addon.project import project_of
+from snerg.snerg_addon.scene_object import folder_of, problem_of, show_scene, snerg_objects, source_of
+from snerg.snerg_addon.viewport.loading import cached, loaded
+
+CENTRE = (0.4, -0.2, 0.3)
+
+
+def baked(centre=CENTRE, angles=(0.3, -0.2, 0.5)):
+    return make_snerg((34, 30, 40), diffuse=True, fog=False, centre=centre, angles=angles)
+
+
+@pytest.fixture
+def source(tmp_path) -> Path:
+    """A folder with a baked scene."""
+    write_scene(baked(), tmp_path / "elsewhere")
+    return tmp_path / "elsewhere"
+
+
+def objects() -> list[bpy.types.Object]:
+    bpy.context.view_layer.update()
+    return list(snerg_objects(bpy.context.view_layer))
+
+
+def test_importing_a_scene_makes_an_object_where_its_box_stood(scene, source):
+    assert bpy.ops.snerg.import_scene(filepath=str(source)) == {"FINISHED"}
+    (thing,) = objects()
+    assert np.allclose(thing.matrix_world, baked().box.box_to_world, atol=1e-6)
+    assert folder_of(thing) == project_of(scene).scene and np.allclose(thing.snerg.size, baked().box.size)
+
+
+def test_add_makes_one_of_the_projects_scene_or_of_a_folder(scene, source):
+    assert bpy.ops.snerg.import_scene(filepath=str(source)) == {"FINISHED"}
+    assert bpy.ops.snerg.add_scene() == {"FINISHED"}
+    assert bpy.ops.snerg.add_scene(directory=str(source)) == {"FINISHED"}
+    first, second, third = objects()
+    assert bpy.context.object == third and third.select_get() and not first.select_get()
+    assert folder_of(second) == project_of(scene).scene and folder_of(third) == source
+
+
+def test_a_folder_without_a_scene_is_refused_and_makes_nothing(scene, tmp_path):
+    with pytest.raises(RuntimeError, match="no baked scene in"):
+        bpy.ops.snerg.add_scene(directory=str(tmp_path))
+    assert not objects()
+
+
+def test_a_new_bake_takes_the_old_ones_place_and_keeps_the_artists_moves(scene):
+    project = project_of(scene)
+    write_scene(baked(), project.folder / "scenes" / "001")
+    thing = show_scene(scene, project, project.folder / "scenes" / "001")
+    move = Matrix.Translation((1, 2, 3)) @ Matrix.Rotation(0.4, 4, "Z") @ Matrix.Scale(0.5, 4)
+    thing.matrix_world = move @ thing.matrix_world
+    other = baked((0, 0, 0.1), (0, 0, 0))
+    write_scene(other, project.folder / "scenes" / "002")
+    assert show_scene(scene, project, project.folder / "scenes" / "002") == thing and objects() == [thing]
+    assert np.allclose(thing.matrix_world, np.array(move) @ other.box.box_to_world, atol=1e-5)
+    assert folder_of(thing) == project.folder / "scenes" / "002"
+
+
+def test_it_is_saved_with_the_file_by_a_relative_path(scene, source, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "file.blend"))
+    bpy.ops.snerg.add_scene(directory=str(source))
+    assert bpy.context.object.snerg.folder.startswith("//")
+    bpy.context.object.location.x = 5
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "file.blend"))
+    (thing,) = objects()
+    assert thing.location.x == 5 and folder_of(thing).resolve() == source
+    duplicate = thing.copy()
+    assert duplicate.snerg.folder == thing.snerg.folder
+
+
+def test_what_is_wrong_is_said_of_the_object(scene, source):
+    bpy.ops.snerg.add_scene(directory=str(source))
+    (thing,) = objects()
+    assert problem_of(thing) == "" and loaded(folder_of(thing)).problem == ""
+    for scale in ((1, 1, 2), (-1, 1, 1), (0, 0, 0)):
+        thing.scale = scale
+        bpy.context.view_layer.update()
+        assert "scaled unevenly" in problem_of(thing)
+    thing.scale = (2, 2, 2)
+    bpy.context.view_layer.update()
+    assert problem_of(thing) == ""
+    thing.snerg.folder = "/nowhere"
+    assert "There is no baked scene in /nowhere" in loaded(folder_of(thing)).problem
+
+
+def test_a_scene_written_again_is_read_again(scene, source):
+    bpy.ops.snerg.add_scene(directory=str(source))
+    before = loaded(source).scene
+    assert loaded(source).scene is before
+    write_scene(replace(baked(), near=0.5), source)
+    entry = loaded(source)
+    entry.thread.join()
+    assert entry.scene is not before and entry.scene.near == 0.5
+
+
+def test_a_packed_scene_outlives_its_folder(scene, source, tmp_path):
+    bpy.ops.snerg.add_scene(directory=str(source))
+    assert bpy.ops.snerg.pack_scene() == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "packed.blend"))
+    shutil.rmtree(source)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "packed.blend"))
+    (thing,) = objects()
+    np.testing.assert_array_equal(cached(source_of(thing)).cells, baked().cells)
+    bpy.context.view_layer.objects.active = thing
+    assert bpy.ops.snerg.unpack_scene() == {"FINISHED"} and source.is_dir() and not is_packed(thing)
+    np.testing.assert_array_equal(cached(source_of(thing)).cells, baked().cells)

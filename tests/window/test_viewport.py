@@ -1,0 +1,50 @@
+"""The viewport's march: NumPy's picture within 2/255, before and behind meshes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scenes import make_cameras, make_snerg, snerg_from_volume
+from snerg.core.export.scene_files import write_scene
+
+from .conftest import OUT
+
+COLOURS = {"red": (255, 0, 0), "green": (0, 255, 0), "green over blue": (0, 255, 0), "blue": (0, 0, 255)}
+
+
+@pytest.mark.parametrize("kind", ["network", "diffuse", "corrected"])
+def test_the_picture_is_numpys(blender, kind):
+    folder = OUT / f"scene {kind}"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(
+        make_snerg(diffuse=kind == "diffuse", angles=(0.2, 0.1, 0.3), centre=(0.1, 0.2, 0.3), opacity_correction=kind == "corrected"),
+        folder,
+    )
+    cameras = [camera.to_json() for camera in make_cameras((0.1, 0.2, 0.3))]
+    (OUT / "cameras.json").write_text(json.dumps(cameras))
+    seen = blender.walk("gpu_frames", folder, OUT / "cameras.json")
+    assert len(seen["differences"]) == len(cameras)
+    for name, most, mean in seen["differences"]:
+        assert most < 2 and mean < 0.5, f"{name}: {most:.2f} levels at most, {mean:.3f} in the mean"
+
+
+def test_meshes_stand_before_and_behind(blender):
+    values = np.zeros((30, 30, 30, 4), np.uint8)
+    values[2:-2, 2:-2, 2:-2] = (0, 255, 0, 255)
+    pose = np.eye(4)
+    pose[:3, 3] = -0.5
+    folder = OUT / "block"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(snerg_from_volume(values, None, grid_to_world=pose, voxel_size=1 / 30), folder)
+    seen = blender.walk("between_meshes", folder)
+    for kind in ("PERSP", "ORTHO"):
+        with Image.open(blender.folder("between_meshes") / f"{kind}.png") as opened:
+            pixels = np.asarray(opened.convert("RGB")).astype(int)
+        for name, (x, y) in seen[kind].items():
+            shown = pixels[int(pixels.shape[0] - y), int(x)]
+            assert np.abs(shown - COLOURS[name]).max() < 40, f"{kind}: {name} is {shown}"

@@ -1,0 +1,69 @@
+"""SNeRG objects in the viewport: marched on the graphics card as by NumPy, before and behind meshes. Runs inside Blender."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from bpy_extras.view3d_utils import location_3d_to_region_2d
+from drive import Walk, Window
+
+CUBES = {"front": ((0.0, -1.5, 0.0), (1, 0, 0, 1)), "behind": ((0.0, 1.5, 0.7), (0, 0, 1, 1))}
+
+
+def part(name: str) -> Any:
+    """A module of the installed extension."""
+    return importlib.import_module(f"bl_ext.user_default.snerg_addon.{name}")
+
+
+def gpu_frames(window: Window, folder: str, cameras: str) -> Walk:
+    """The largest and the mean difference, in levels of 8 bits, of the card's picture from NumPy's, of each camera."""
+    gpu_scene, view = part("snerg_addon.viewport.gpu_scene"), part("snerg_addon.viewport.view")
+    rendering, files = part("core.rendering.render"), part("core.export.scene_files")
+    window.seen["differences"] = []
+    scene = files.read_scene(Path(folder))
+    held = gpu_scene.GpuScene(scene)
+    for value in json.loads(Path(cameras).read_text()):
+        camera = part("core.geometry.camera").Camera.from_json(value)
+        width, height = camera.width, camera.height
+        target = gpu_scene.Target(width, height)
+        scale = width / 2 / camera.focal[0], height / 2 / camera.focal[1]
+        offset = (width / 2 - camera.centre[0]) / camera.focal[0], (camera.centre[1] - height / 2) / camera.focal[1]
+        projection = view.Projection(scale, offset, camera.projection == "orthographic", 0.0, 1e6, np.eye(4))
+        seen = view.uniforms(scene, scene.box.box_to_world, camera.camera_to_world, projection)
+        seen[8, 2] = max(scene.near, camera.near) / scene.voxel_size
+        gpu_scene.march(held, seen, target)
+        frame = rendering.render_scene(scene, camera)
+        wanted = np.concatenate([frame.colour, frame.alpha[..., None]], axis=-1)
+        error = 255 * np.abs(np.clip(target.pixels()[0], 0, 1) - np.clip(wanted, 0, 1))
+        window.seen["differences"].append([camera.name, float(error.max()), float(error.mean())])
+        yield
+
+
+def between_meshes(window: Window, folder: str) -> Walk:
+    """A green block between a red cube in front and a blue one behind, in each shading; where on the picture each should be seen."""
+    data = bpy.data
+    for thing in list(data.objects):
+        data.objects.remove(thing)
+    for name, (place, colour) in CUBES.items():
+        bpy.ops.mesh.primitive_cube_add(size=0.3, location=place)
+        bpy.context.object.name, bpy.context.object.color = name, colour
+    window.operator("add_scene", directory=folder)
+    bpy.context.object.select_set(False)
+    space, region = window.view.spaces[0], next(r for r in window.view.regions if r.type == "WINDOW")
+    shading, data3d = space.shading, space.region_3d
+    shading.light, shading.color_type = "FLAT", "OBJECT"
+    space.overlay.show_overlays = False
+    data3d.view_rotation, data3d.view_location, data3d.view_distance = (0.7071068, 0.7071068, 0, 0), (0, 0, 0), 4
+    for kind in ("PERSP", "ORTHO"):
+        data3d.view_perspective = kind
+        yield from window.wait(3)
+        points = {"red": (0, -1.65, 0), "green": (0.3, -0.47, -0.3), "green over blue": (0.0, -0.47, 0.38), "blue": (0.0, 1.35, 0.8)}
+        found = {name: location_3d_to_region_2d(region, data3d, point) for name, point in points.items()}
+        window.seen[kind] = {name: [region.x + at.x, region.y + at.y] for name, at in found.items()}
+        window.shoot(kind)
+    window.seen["height"] = window.window.height
