@@ -186,9 +186,7 @@ def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficien
 
     A step's time is measured by queries of an untrained field of the same kind; reading images, by the first image.
     """
-    samples = (
-        settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
-    )
+    samples = settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
     step = coefficients.step_queries * samples * query_seconds(settings)
     began = time.perf_counter()
     dataset.read(0)

@@ -1,4 +1,7 @@
-"""How well a field that is being trained shows views that it never saw: a fixed set of their rays."""
+"""Validation while training: the error of a fixed set of rays of views that are not trained on.
+
+Packed samples are composited by volume rendering (NeRF, eq. 3; Max 1995).
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
 Evaluate = Callable[[NDArray[Any]], Sequence[NDArray[Any]]]
 
 
-class Rays:
-    """Rays of a pool, drawn once, with the colours that they ought to have over the background that the field is trained over."""
+class ValidationRays:
+    """Rays of a dataset, drawn once with the settings' seed, and their true colours over the background that the field is trained over."""
 
     def __init__(self, pool: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
         """views: [views] bool, those to draw from; all when None."""
@@ -43,7 +46,7 @@ class Rays:
 
 
 def packed_colours(
-    settings: TrainSettings, domain: Domain, occupied: NDArray[Any], spacing: float, evaluate: Evaluate, params: Any, rays: Rays
+    settings: TrainSettings, domain: Domain, occupied: NDArray[Any], spacing: float, evaluate: Evaluate, params: Any, rays: ValidationRays
 ) -> NDArray[Any]:
     """Colours [R, 3] of rays over their background, from packed samples.
 
