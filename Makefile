@@ -52,7 +52,7 @@ bench-train: setup
 bench-grid: setup
 	$(PY) bench/grid.py $(if $(FIELD),--field "$(FIELD)") $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
 
-# FIELDS="FIELD ...": of which to compare what is said beforehand with what happens (default: those of bench-train).
+# FIELDS="FIELD ...": of which to compare estimates with measurements and refit the cost model (default: those of bench-train).
 bench-estimate: setup
 	$(PY) bench/estimate.py $(FIELDS)
 

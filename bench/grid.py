@@ -36,7 +36,7 @@ from snerg.core.progress import silent
 from snerg.core.rendering.render import MarchSettings
 from snerg.core.scene.scene import Scene
 from snerg.core.study.contact_sheet import contact_sheet, error_picture
-from snerg.core.study.evaluate import COLUMNS, Score, Target, held_out, open_target
+from snerg.core.study.evaluate import COLUMNS, EvaluationTarget, Score, held_out, open_target
 from snerg.core.training.provenance import options_of, trained
 from snerg.core.training.validation import some_views
 
@@ -119,7 +119,7 @@ class Setup:
 
 def measure(setup: Setup, path: Path, settings: MarchSettings = DEFAULT_MARCH, pictures: Path | None = None) -> dict[str, Any]:
     """{"psnr", "ssim", "frame"} of a field or a scene on the views; frame: median seconds. pictures: file for a contact sheet, if any."""
-    subject: Target = open_target(path, settings)
+    subject: EvaluationTarget = open_target(path, settings)
     score, rows = Score(), []
     for index, camera in enumerate(setup.views.cameras):
         if not index:

@@ -14,7 +14,7 @@ from ..core.geometry.box import Box
 from ..core.nerf.checkpoint import read_field
 from ..core.study.cost_model import estimate
 from ..core.study.field_probe import FieldProbe
-from ..core.study.field_probe_file import read_survey, stamp
+from ..core.study.field_probe_file import read_field_probe, stamp
 from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 
@@ -32,7 +32,7 @@ def probe_of(project: Project) -> FieldProbe | None:
     known = _probes.get(project.survey)
     if known is None or known[0] != written:
         try:
-            found = read_survey(project.survey, stamp(project.field), lambda: read_field(project.field))
+            found = read_field_probe(project.survey, stamp(project.field), lambda: read_field(project.field))
         except (SnergError, OSError):
             found = None
         _summaries.clear()

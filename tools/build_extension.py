@@ -26,7 +26,8 @@ FILES = ("__init__.py", "py.typed", "launcher.py", "LICENSE", "README.md", "CHAN
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "node_modules", ".*", "*.egg-info", "*.pyc")
 TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "optax", "absl-py", "pillow", "msgpack")  # Blender brings NumPy
 PLOTS = ("matplotlib", "contourpy", "cycler", "fonttools", "kiwisolver", "packaging", "pyparsing", "python-dateutil", "tzdata")
-WHEELS = (*TRAINING, *PLOTS)
+REPORT = ("jinja2", "markupsafe")
+WHEELS = (*TRAINING, *PLOTS, *REPORT)
 
 
 @dataclass(frozen=True)

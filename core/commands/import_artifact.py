@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of, open_field, open_scene
@@ -12,7 +13,9 @@ from ..io.lock import writes_out
 from ..nerf.checkpoint import write_field
 from ..progress import Progress, silent, within
 from .check_out import check_out
+from .command import Command
 from .info import info
+from .options import path
 
 
 @writes_out("an import")
@@ -34,3 +37,17 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
         raise SnergError(f"{source} is a {kind}, which needs no import; give a field, a checkpoint or a baked scene.")
     progress(1.0, "Imported")
     return {"imported": kind, "to": str(out), **info(out)}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg import`."""
+    parser.add_argument("source", type=path, metavar="SOURCE")
+    parser.add_argument("--out", type=path, required=True, metavar="PATH")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg import`."""
+    return import_source(options.source, options.out, progress)
+
+
+COMMAND = Command("import", "import a checkpoint, field or baked scene", add_options, run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..artifact import Result, kind_of, open_field
 from ..data.load import read_dataset, read_split
+from ..errors import SnergError
 from ..export.reference import read_reference
 from ..export.reference_params import read_params
 from ..export.scene_files import codec_of, is_scene, read_scene
@@ -21,7 +23,10 @@ from ..nerf.field import Field
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from ..training.decisions import forward_facing
+from ..training.devices import device_report
 from ..training.training_folder import trainings_beside
+from .command import Command
+from .options import path as path_argument
 
 
 def info(path: Path, progress: Progress = silent) -> Result:
@@ -140,3 +145,21 @@ def page_cameras(path: Path) -> tuple[Camera, ...]:
     value = read_json(path)
     with reading(path, "write the page again"):
         return tuple(Camera.from_json(camera) for camera in record(value, "the file")["cameras"])
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg info`."""
+    parser.add_argument("path", type=path_argument, nargs="?", metavar="PATH")
+    parser.add_argument("--devices", action="store_true", help="list the devices that training uses")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg info`. Raises SnergError without a path and without --devices."""
+    if options.devices:
+        return device_report()
+    if options.path is None:
+        raise SnergError("There is nothing to describe; give a path, or --devices.")
+    return info(options.path, progress)
+
+
+COMMAND = Command("info", "describe a dataset, field, checkpoint or scene, or the devices that training uses", add_options, run)

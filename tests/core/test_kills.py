@@ -31,7 +31,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
-from snerg.core import cli
+from snerg.core import cli, terminal
 from snerg.core.baking import resume
 from snerg.core.training import saving
 from snerg.core.training import trainer as train
@@ -39,7 +39,7 @@ train.TELL_EVERY, saving.SAVE_SHARE, resume.SAVE_SECONDS = -1.0, 1e9, -1.0
 class Saver(train.Saver):
     def __init__(self, folder, checkpoint, save_every, *more):
         super().__init__(folder, checkpoint, 0.0, *more)
-train.Saver, cli.EVERY_SECONDS = Saver, 0.0
+train.Saver, terminal.LINE_SECONDS = Saver, 0.0
 sys.exit(cli.main(sys.argv[1:]))
 """
 

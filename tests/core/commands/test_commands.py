@@ -1,4 +1,4 @@
-"""Every verb on small inputs: what it writes, what it returns, what it refuses before it starts."""
+"""Every command on small inputs: what it writes, what it returns, what it refuses before it starts."""
 
 import json
 import os

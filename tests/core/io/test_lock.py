@@ -134,7 +134,7 @@ def test_where_no_lock_can_be_written(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_every_verb_that_writes_is_the_only_one(tmp_path, dataset, monkeypatch):
+def test_every_command_that_writes_is_the_only_one(tmp_path, dataset, monkeypatch):
     monkeypatch.setattr(lock, "WAIT_SECONDS", 0.0)
     write_scene(make_snerg((31, 30, 33)), tmp_path / "scene")
     scene, out = tmp_path / "scene", tmp_path / "out"
