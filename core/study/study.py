@@ -89,13 +89,19 @@ def study(
         left_out += variants(sweep, plan, baseline, deadline, settings, within(progress, 0.95, 0.95))
     results = study_results(sweep, plan, baseline, about, left_out)
     write_results(results, out)
-    result: Result = {"out": str(out), "report": str(out / "report.html"), "configurations": len(results.rows), "left_out": len(left_out)}
-    result |= {"front": [row["key"] for row in results.pareto_front], "notes": notes}
+    result = _result(results, out)
     if target:
         result |= _chosen(sweep, results, target, out, within(progress, 0.95, 1))
     if not left_out:
         shutil.rmtree(out / "work", ignore_errors=True)
     return result
+
+
+def _result(results: StudyResults, out: Path) -> Result:
+    """What `study` returns of its results."""
+    counts = {"configurations": len(results.rows), "left_out": len(results.left_out)}
+    front = [row["key"] for row in results.pareto_front]
+    return {"out": str(out), "report": str(out / "report.html"), **counts, "front": front, "notes": results.about["notes"]}
 
 
 def check_packages() -> None:
