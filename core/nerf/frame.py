@@ -47,7 +47,7 @@ class Composited:
     samples: int | None = None
 
     def part(self, some: slice | NDArray[Any]) -> Composited:
-        """Some of the rays."""
+        """The rays [N] of a slice, of indices [K] or of a mask [N]."""
         return Composited(self.colour[some], self.features[some], self.transmittance[some], self.depth[some])
 
 

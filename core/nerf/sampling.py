@@ -139,7 +139,7 @@ def cell_centres(cells: int) -> NDArray[Any]:
 
 
 def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A copy of a training's estimates as its state holds them: float32, not negative, infinite where nobody looked. Raises ValueError."""
+    """A copy of a training's estimates: float32 of any shape, not negative, infinite where there is none. Raises ValueError."""
     if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
         raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
     return value.copy()
@@ -250,7 +250,7 @@ def coarse_steps(
     offset: NDArray[Any],
     counts: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(ray, step) of every step that a coarser occupancy does not rule out, in order along each ray."""
+    """(ray [N], step [N]) of every step that a coarser occupancy does not rule out, in order along each ray."""
     span = BLOCK * length
     blocks = -(-counts // BLOCK)
     ray = np.repeat(np.arange(len(counts)), blocks)
@@ -272,7 +272,7 @@ _coarser: dict[tuple[int, int, int], tuple[NDArray[Any], NDArray[Any]]] = {}
 
 
 def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
-    """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+    """Occupancy [n^3] in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
 
     The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
     """

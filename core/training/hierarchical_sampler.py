@@ -101,11 +101,11 @@ class HierarchicalSampler:
         return rays_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that `restore` needs beside the parameters."""
+        """What `restore` reads, named arrays of any shape."""
         return {"most": self.occupancy.most}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Undo `state`."""
+        """Continue from the named arrays of any shape that `state` returned. Raises ValueError or KeyError on another sampler's."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self._occupied()
 

@@ -140,11 +140,11 @@ class OccupancySampler:
         return batch_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that `restore` needs beside the parameters."""
+        """What `restore` reads, named arrays of any shape."""
         return {"most": self.occupancy.most, "reach": self.termination.depths, "samples_per_ray": np.array(self.samples_per_ray)}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Undo `state`."""
+        """Continue from the named arrays of any shape that `state` returned. Raises ValueError or KeyError on another sampler's."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self.occupancy.occupied
         self.termination.depths = estimates(state["reach"], "reach", self.termination.depths.shape)

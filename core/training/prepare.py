@@ -141,7 +141,7 @@ def find_silhouettes(
 def make_sampler(
     settings: TrainSettings, rays: RayDataset, occupied: NDArray[Any], rng: np.random.Generator
 ) -> tuple[Sampler, list[Decision]]:
-    """The sampler that the settings name, with its 'auto' settings decided, and these decisions."""
+    """The sampler that the settings name, with its 'auto' settings decided, and these decisions. occupied: bool [CELLS^3]."""
     origins, directions, near, *_ = rays.rays(rays.draw(DECISION_RAYS, np.random.default_rng(settings.seed)))
     domain = rays.domain
     sampling = decisions.sampling(settings, domain, occupied, origins, directions, near)

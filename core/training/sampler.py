@@ -25,7 +25,7 @@ class Batch:
 
 
 class Sampler(Protocol):
-    """A way to sample rays: `occupancy_sampler` and `hierarchical_sampler` implement it."""
+    """A way to sample rays: `occupancy_sampler` and `hierarchical_sampler` implement it. occupied: bool [CELLS^3]."""
 
     settings: TrainSettings
     """The training's settings, those that were 'auto' decided."""
@@ -49,7 +49,7 @@ class Sampler(Protocol):
         """Colours [R, 3] of validation rays over their background, sampled as training samples at this fraction."""
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """The arrays that `restore` needs."""
+        """The named arrays of any shape that `restore` needs."""
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on from the arrays of `state`. Raises KeyError or ValueError where they belong to another training."""
+        """Continue from the named arrays of any shape of `state`. Raises KeyError or ValueError where they belong to another training."""

@@ -121,7 +121,7 @@ def initial_state(prepared: Prepared, devices: Devices) -> TrainState:
 
 
 def state_arrays(state: TrainState, devices: Devices) -> dict[str, NDArray[Any]]:
-    """What `restored_state` reads, as arrays of its own on the host.
+    """What `restored_state` reads: named arrays of any shape, copied to the host.
 
     Raises SnergError when the parameters or moments hold values that are not finite (hard case 27).
     """
@@ -137,8 +137,10 @@ def state_arrays(state: TrainState, devices: Devices) -> dict[str, NDArray[Any]]
 
 
 def restored_state(initial: TrainState, arrays: dict[str, NDArray[Any]], devices: Devices, settings: TrainSettings) -> TrainState:
-    """The state whose `state_arrays` these are, for the settings of `initial`. Raises SnergError when it is another network's, and
-    ValueError or KeyError when the arrays are damaged."""
+    """The state whose `state_arrays` (named, of any shape) these are, for the settings of `initial`.
+
+    Raises SnergError when it is another network's, and ValueError or KeyError when the arrays are damaged.
+    """
     leaves, tree = jax.tree.flatten((initial.params, initial.moments))
     saved = [arrays.get(f"leaf_{i:03d}") for i in range(len(leaves))]
     same = all(s is not None and s.shape == leaf.shape for s, leaf in zip(saved, leaves, strict=True))

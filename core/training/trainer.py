@@ -137,18 +137,23 @@ class Trainer:
         return trained_field(self.prepared, self.state, self.state.best(self.devices), self.held_out_psnr)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What `restore` reads: the state, the random state and the sampler's. Raises SnergError as `state_arrays` does."""
+        """What `restore` reads, named arrays of any shape: the state, the random state and the sampler's.
+
+        Raises SnergError as `state_arrays` does.
+        """
         random = np.frombuffer(repr(self.prepared.rng.bit_generator.state).encode(), np.uint8)
         sampler = {name: np.array(value) for name, value in self.prepared.sampler.state().items()}
         return state_arrays(self.state, self.devices) | {"random": random} | sampler
 
     def checkpoint(self) -> tuple[Field, dict[str, NDArray[Any]]]:
-        """The field, and the arrays to go on from."""
+        """The field, and the named arrays of any shape to continue from."""
         return self.field(), self.arrays()
 
     def restore(self, arrays: dict[str, NDArray[Any]], decisions: list[dict[str, Any]] | None = None) -> None:
-        """Go on from `arrays`, and from the decisions in the field's `about`. Raises SnergError when they are another network's, and
-        ValueError or KeyError when they are damaged."""
+        """Continue from `arrays` (of any shape), and from the decisions in the field's `about`.
+
+        Raises SnergError when they are another network's, and ValueError or KeyError when they are damaged.
+        """
         prepared = self.prepared
         self.state = restored_state(self.state, arrays, self.devices, prepared.settings)
         prepared.sampler.restore(arrays)

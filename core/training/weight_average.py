@@ -34,13 +34,16 @@ class WeightAverage:
         return WeightAverage(jax.tree.map(jnp.array, params) if self.mean is None else _interpolate(self.mean, params, share), count)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What `from_arrays` reads: copies on the host."""
+        """What `from_arrays` reads: named arrays of any shape, copied to the host."""
         leaves = [] if self.mean is None else jax.tree.leaves(self.mean)
         return {"averaged": np.array(self.count)} | {f"mean_{i:03d}": np.array(leaf) for i, leaf in enumerate(leaves)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]], like: Any) -> WeightAverage:
-        """The average whose `arrays` these are, of parameters shaped as `like`. Raises ValueError or KeyError where it is another's."""
+        """The average whose `arrays` (of any shape) these are, of parameters shaped as `like`.
+
+        Raises ValueError or KeyError on another network's.
+        """
         count = int(arrays.get("averaged", 0))  # trainings of versions without averaging have none
         if not count:
             return cls()
