@@ -38,15 +38,21 @@ def block() -> Scene:
 def add_cube(place: Matrix) -> bpy.types.Object:
     """A cube that glows green."""
     corners = [(x, y, z) for x in (-HALF, HALF) for y in (-HALF, HALF) for z in (-HALF, HALF)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return add_mesh(place, (0, 1, 0, 1), corners, faces)
+
+
+def add_mesh(place: Matrix, colour: tuple, corners: list[tuple], faces: list[tuple] | None = None) -> bpy.types.Object:
+    """A mesh that glows evenly."""
     mesh = bpy.data.meshes.new("Cube")
-    mesh.from_pydata(corners, [], [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    mesh.from_pydata(corners, [], faces or [tuple(range(len(corners)))])
     material = bpy.data.materials.new("Glow")
     if bpy.app.version < (5, 0):
         material.use_nodes = True
     nodes = material.node_tree.nodes
     nodes.clear()
     glow, out = nodes.new("ShaderNodeEmission"), nodes.new("ShaderNodeOutputMaterial")
-    glow.inputs["Color"].default_value = (0, 1, 0, 1)
+    glow.inputs["Color"].default_value = colour
     material.node_tree.links.new(glow.outputs[0], out.inputs["Surface"])
     mesh.materials.append(material)
     cube = bpy.data.objects.new("Cube", mesh)
@@ -185,6 +191,22 @@ def test_a_mesh_in_front_hides_and_one_behind_shows_at_the_edges(stage, tmp_path
     assert row[np.flatnonzero(np.diff(row, prepend=-1))].tolist() == [BLUE, RED, GREEN, BLUE]
     thing.hide_render = True
     assert rendered(scene, tmp_path)[..., RED].max() == 0
+
+
+@pytest.mark.parametrize("place", [(0.55, -0.8, 0.7), (0.3, -0.35, 0.3), (0.1, -0.1, 0.4)])
+def test_before_a_wall_edges_have_no_fringe_of_the_wall(stage, tmp_path, place):
+    """The mesh render has the wall's blue in the cube's edge pixels; where the block is between the two, the frame must not."""
+    scene, _, cube = stage
+    cube.matrix_world = Matrix.LocRotScale(place, Euler((0.3, 0.5, 0.2)), (0.8,) * 3)
+    add_mesh(scene.camera.matrix_world @ Matrix.Translation((0, 0, -5)), (0, 0, 1, 1), [(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)])
+    bpy.ops.snerg.composite()
+    got = rendered(scene, tmp_path)
+    green, red = covered(camera_from_blender(scene.camera, scene, evaluated(scene)), cube)
+    between = (green + red == 1) & ~near(green + red < 1)
+    edge = between & (green > 0) & (red > 0)
+    error = np.abs(got[..., GREEN] - green)
+    assert edge.sum() > 50 and got[..., BLUE][between].max() < 0.01
+    assert error[edge].mean() < 0.13 and error[between & ~near(edge)].max() < 1e-3  # no hidden edge shines through either
 
 
 def test_a_transparent_film_stays_transparent(stage, tmp_path):
