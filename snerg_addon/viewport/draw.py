@@ -11,13 +11,14 @@ import bpy
 import gpu
 import numpy as np
 
+from ...core.errors import SnergError
 from ...core.scene.scene import Scene
 from ..preferences import gpu_bytes
 from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
 from .gpu_scene import GpuScene, Target, bytes_of, march, quad
-from .loading import in_use, loaded, reading
-from .view import Projection, even_scale, screen_rows, uniforms
+from .loading import forget, in_use, loaded, reading
+from .view import Projection, screen_rows, uniforms
 
 BUDGET = 0.03  # seconds of marching at a time
 SETTLE = 0.12  # seconds without change after which a view counts as still
@@ -55,6 +56,7 @@ def register() -> None:
     global _handle
     if _handle is None and not bpy.app.background:
         _handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_VIEW")
+        bpy.app.handlers.load_pre.append(clear)
 
 
 def unregister() -> None:
@@ -62,9 +64,17 @@ def unregister() -> None:
     global _handle, _composite
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
+        bpy.app.handlers.load_pre.remove(clear)
     _handle = _composite = None
+    clear()
+
+
+@bpy.app.handlers.persistent
+def clear(*_arguments: object) -> None:
+    """Let go of all scenes and pictures: another file is opened, or the add-on is disabled."""
     _pictures.clear()
     _scenes.clear()
+    forget()
 
 
 def memory() -> int:
@@ -78,37 +88,49 @@ def draw() -> None:
     try:
         shown = [thing for thing in snerg_objects(context.view_layer) if thing.visible_in_viewport_get(context.space_data)]
         eye = context.region_data.view_matrix.inverted().translation
-        for thing in sorted(shown, key=lambda o: -(o.matrix_world.translation - eye).length):
-            draw_object(context, thing)
-        if reading() or any(not picture.done for picture in _pictures.values()):
+        drawn = [draw_object(context, o) for o in sorted(shown, key=lambda o: -(o.matrix_world.translation - eye).length)]
+        if not all(drawn):
             _later()
+        _forget_closed(context.window_manager)
     except Exception as error:
         traceback.print_exception(error)
 
 
-def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> None:
-    """One object: its picture, and its box where it is selected."""
+def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> bool:
+    """One object: its picture, and its box where it is selected. Returns whether there is nothing more to come of it."""
     if thing.select_get():
         outline(thing)
-    found = loaded(source_of(thing))
+    try:
+        found = loaded(source_of(thing))
+    except SnergError:
+        return True  # its panel says it
+    if found.scene is None:
+        return bool(found.problem)
     matrix = np.array(thing.matrix_world, np.float64)
-    if found.scene is None or problem_of(thing) or even_scale(matrix) is None or found.scene.ndc is not None:
-        return
-    held = _held(found.scene)
-    if held is None:
-        return
+    if problem_of(thing) or found.scene.ndc is not None or (held := _held(found.scene)) is None:
+        return True
     region, data = context.region, context.region_data
     projection = Projection.from_matrix(np.array(data.window_matrix))
     camera = np.linalg.inv(np.array(data.view_matrix, np.float64))
     seen = uniforms(found.scene, matrix, camera, projection)
     span = screen_rows(found.scene, matrix, camera, projection, region.height)
-    picture = _pictures.get((region.as_pointer(), thing.as_pointer()))
+    place = region.as_pointer(), thing.session_uid
+    picture = _pictures.get(place)
     if picture is None or picture.full.size != (region.width, region.height):
-        picture = _pictures[region.as_pointer(), thing.as_pointer()] = Picture(Target(region.width, region.height))
+        picture = _pictures[place] = Picture(Target(region.width, region.height))
     bound = gpu.state.viewport_get()
     work(held, seen, picture, span)
     gpu.state.viewport_set(*bound)
     show(picture, projection, float(seen[11, 0]))
+    return picture.done
+
+
+def _forget_closed(manager: bpy.types.WindowManager) -> None:
+    """Let go of pictures of regions that are closed and of objects that are gone."""
+    regions = {region.as_pointer() for window in manager.windows for area in window.screen.areas for region in area.regions}
+    objects = {thing.session_uid for thing in bpy.data.objects}
+    for place in [place for place in _pictures if place[0] not in regions or place[1] not in objects]:
+        del _pictures[place]
 
 
 def _held(scene: Scene) -> GpuScene | None:
@@ -132,7 +154,7 @@ def work(held: GpuScene, seen: np.ndarray, picture: Picture, span: tuple[int, in
     """March as much of a picture's span of rows as BUDGET allows: all of it where that is quick; else a coarse one, and once the view
     rests the full one, a band of rows at a time."""
     now, (width, height) = time.monotonic(), picture.full.size
-    if picture.key != (key := seen.tobytes()):
+    if picture.key != (key := seen.tobytes() + id(held).to_bytes(8, "little")):
         picture.key, picture.span, picture.rows, picture.changed = key, span, 0, now
         if not span[1]:
             return
