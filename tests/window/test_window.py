@@ -104,6 +104,14 @@ def test_a_training_goes_on_when_blender_quits(blender, photos):
     assert says(back["field"], rf"\b{steps} steps"), f"The training did not reach its {steps} steps: {back['field']}"
 
 
+def test_a_bake_goes_on_when_blender_quits_and_is_shown_afterwards(blender, trained):
+    left = blender.walk("leave_in_mid_bake", trained, 256)
+    assert left["started"] and left["busy"], "The bake ended before Blender quit; choose a finer one"
+    back = blender.walk_on("come_back", blender.folder("leave_in_mid_bake"))
+    assert says(back["bake"], r"\d+ blocks"), f"The bake is not there: {back['bake']}"
+    assert back["objects"], "No object shows the bake"
+
+
 def test_a_flat_box_starts_no_bake(blender, trained):
     seen = blender.walk("flat_box", trained)
     assert says(seen["box"], "x 0 m") and not seen["busy"] and says(seen["main"], "Next: bake"), f"See after.png: {seen}"

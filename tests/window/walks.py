@@ -197,14 +197,28 @@ def rendering(window: Window) -> Walk:
 
 
 def leave(window: Window, photos: str, steps: str) -> Walk:
-    """Start a training and quit with Ctrl-Q, in a file that has no unsaved changes."""
+    """Start a training and quit, in a file that has no unsaved changes."""
     yield from begin(window, "artwork", photos)
     window.settings.steps = int(steps)
+    yield from start_and_quit(window, "snerg.train")
+
+
+def leave_in_mid_bake(window: Window, trained: str, resolution: str) -> Walk:
+    """Import a field, start a bake and quit."""
+    yield from begin(window, "artwork")
+    window.operator("import_field", filepath=trained)
+    window.settings.resolution = int(resolution)
+    yield from start_and_quit(window, "snerg.bake")
+
+
+def start_and_quit(window: Window, operator: str) -> Walk:
+    """Click a button, wait until its job runs, and quit with Ctrl-Q."""
     yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
-    yield from window.click("snerg.train")
+    yield from window.click(operator)
     window.seen["started"] = yield from window.until(window.busy, 20)
     yield from window.wait(3)
     yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.seen["busy"] = window.busy()
     window.write()
     yield from window.over_view()
     yield from window.press("Q", ctrl=True)
@@ -215,14 +229,16 @@ def leave(window: Window, photos: str, steps: str) -> Walk:
 
 
 def come_back(window: Window) -> Walk:
-    """Open that file again."""
+    """Open that file again, and wait until the job has ended."""
     yield from window.file("open_mainfile", window.folder / "artwork.blend")
     yield from window.open_sidebar()
     yield from window.wait(1)
     window.seen["main_at_first"] = window.texts("main")
     yield from window.picture("back")
-    yield from window.until(lambda: not window.busy(), 200)
-    window.seen["field"] = window.texts("field")
+    yield from window.until(lambda: not window.busy(), 240)
+    window.seen["field"], window.seen["bake"] = window.texts("field"), window.texts("bake")
+    window.seen["objects"] = [thing.name for thing in bpy.data.objects if thing.snerg.folder]
+    yield from window.wait(2)
     yield from window.picture("ended")
 
 
