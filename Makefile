@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow test-blender lint format extension clean python
+.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -52,7 +52,7 @@ bench-train: setup
 bench-grid: setup
 	$(PY) bench/grid.py $(if $(FIELD),--field "$(FIELD)") $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
 
-# FIELDS="FIELD ...": of which to compare what is said beforehand with what happens (default: those of bench-train).
+# FIELDS="FIELD ...": of which to compare estimates with measurements and refit the cost model (default: those of bench-train).
 bench-estimate: setup
 	$(PY) bench/estimate.py $(FIELDS)
 
@@ -84,6 +84,23 @@ format: $(VENV)/.installed
 
 extension: setup
 	$(PY) tools/build_extension.py
+
+# Every platform's zips, built, validated and checked against the version and the changelog, in build/release.
+release: setup
+	$(PY) tools/release.py $(if $(BLENDER),--blender "$(BLENDER)")
+
+# The documentation as a site, in build/site. A broken link is an error.
+build/docs-venv/.installed: requirements-docs.txt | python
+	test -x build/docs-venv/bin/python || "$(INTERPRETER)" -m venv build/docs-venv
+	build/docs-venv/bin/python -m pip install --disable-pip-version-check -q -r requirements-docs.txt
+	touch $@
+
+docs: build/docs-venv/.installed
+	NO_MKDOCS_2_WARNING=1 build/docs-venv/bin/python -m mkdocs build --strict
+
+# BLENDER=/path/to/blender: a full one, as for test-blender. Draws docs/pictures anew from the result of `make demo`.
+pictures: setup
+	$(PY) tools/pictures.py --blender "$(BLENDER)"
 
 clean:
 	rm -rf build .venv .venv-* node_modules viewer/dist *.egg-info

@@ -1,4 +1,4 @@
-"""What the benchmarks share: verbs in processes of their own, the demo's scene, and the machine."""
+"""What the benchmarks share: commands in processes of their own, the demo's dataset, and the machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "bench"
 
 
-# Linux counts what a process held before it became another program: a small one in between keeps the benchmark's own memory out of it.
+# On Linux the peak memory of a child includes that of its parent at the fork: a small process in between keeps the benchmark's own out.
 WATCH = """
 import subprocess, sys
 code = subprocess.call(sys.argv[1:])
@@ -28,7 +28,7 @@ sys.exit(code)
 
 
 def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
-    """Run a verb in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
+    """Run a command in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
     command = [sys.executable, "-m", "snerg.core.start", *arguments, "--json"]
     child = subprocess.run([sys.executable, "-S", "-c", WATCH, *command], stdout=subprocess.PIPE, text=True)
     if child.returncode != 0:
@@ -38,7 +38,7 @@ def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
 
 
 def demo(out: Path) -> Path:
-    """The demo's scene, rendered once."""
+    """The folder of the demo's dataset, which is rendered if it is not there."""
     dataset = out / "demo" / "dataset"
     if not dataset.is_dir():
         subprocess.run([sys.executable, str(ROOT / "demo" / "run.py"), "--dataset-only", "--out", str(dataset.parent)], check=True)
@@ -46,17 +46,17 @@ def demo(out: Path) -> Path:
 
 
 def described() -> dict[str, Any]:
-    """`describe_machine`, and what JAX trains on: asked in a process of its own, because JAX keeps a GPU's memory to itself."""
+    """`describe_machine`, and the devices of JAX, from a process of its own, because JAX reserves a GPU's memory."""
     return describe_machine() | {"devices": snerg("info", "--devices")[0]}
 
 
 def on_machine(machine: dict[str, Any]) -> str:
-    """What `described` says, in a sentence or two."""
+    """The value of `described` in a sentence or two."""
     return f"{machine_line(machine)} {machine['devices']['training']}"
 
 
 def markdown(columns: str, rows: list[list[Any]]) -> str:
-    """A table: columns with commas between them, and rows of cells."""
+    """A Markdown table. columns: titles separated by ', '. rows: cells, None for a dash."""
     titles = columns.split(", ")
     lines = [titles, ["---"] * len(titles), *rows]
     return "\n".join(f"| {' | '.join('—' if cell is None else str(cell) for cell in line)} |" for line in lines)

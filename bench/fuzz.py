@@ -79,7 +79,7 @@ def subjects() -> list[Subject]:
     from snerg.core.nerf.sampling import CELLS, Domain
     from snerg.core.study import effects, field_probe_file
     from snerg.core.study.field_probe import FieldProbe, Rates
-    from snerg.core.study.plan import Config
+    from snerg.core.study.plan import Configuration
     from snerg.core.study.sweep import read_row
     from snerg.core.training.log import read_log
 
@@ -133,7 +133,7 @@ def subjects() -> list[Subject]:
         return make
 
     def row(folder: Path) -> None:
-        value = {"key": "row", "config": Config().to_json(), "psnr": 30.0, "ms": 5.0, "megabytes": 1.0, "seconds": {"bake": 1.0}}
+        value = {"key": "row", "config": Configuration().to_json(), "psnr": 30.0, "ms": 5.0, "megabytes": 1.0, "seconds": {"bake": 1.0}}
         (folder / "row.json").write_bytes(json_bytes(value | {"psnr_of_views": [30.0], "predicted": {"ms": 4.0}, "ssim": 0.9}))
 
     def kept(folder: Path) -> None:
@@ -146,11 +146,11 @@ def subjects() -> list[Subject]:
         looked = FieldProbe(
             nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
         )
-        field_probe_file.write_survey(folder / "survey.npz", looked, "mark")
+        field_probe_file.write_field_probe(folder / "survey.npz", looked, "mark")
 
-    def read_survey(folder: Path) -> None:
+    def read_field_probe(folder: Path) -> None:
         with reading(folder / "survey.npz", "delete it"):
-            field_probe_file.check(*field_probe_file.opened(folder / "survey.npz"))
+            field_probe_file.checked(*field_probe_file.open_file(folder / "survey.npz"))
 
     def ply(folder: Path) -> None:
         head = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(f"property float {a}\n" for a in "xyz")
@@ -190,7 +190,7 @@ def subjects() -> list[Subject]:
         Subject("page", lambda f: (f / "cameras.json").write_bytes(json_bytes(cameras_json(make_cameras()))),
                 lambda f: page_cameras(f / "cameras.json"), ("cameras.json",)),
         Subject("study row", row, lambda f: read_row(f / "row.json"), ("row.json",)),
-        Subject("survey", survey, read_survey, ("survey.npz",)),
+        Subject("survey", survey, read_field_probe, ("survey.npz",)),
         Subject("resume folder", kept, lambda f: list(ResumeCache(f, "key").read("stage")), ("*.npz",)),
     ]  # fmt: skip
     for codec in ("png", "webp", "jpeg", "avif", "float"):

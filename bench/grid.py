@@ -1,4 +1,4 @@
-"""`make bench-grid`: what it takes to bake, store and march a scene, as tables with the machine that they were measured on.
+"""`make bench-grid`: measures baking, storing and rendering a scene, and prints tables with the machine they were measured on.
 
 FIELD=FOLDER names a trained field, whose dataset is measured against (or DATA=FOLDER); without it one is trained on the demo's
 scene. ROWS=NAME,NAME chooses from PARTS and ABLATIONS below; `large` takes minutes and gigabytes. Bakes run as `snerg bake` in
@@ -36,26 +36,23 @@ from snerg.core.progress import silent
 from snerg.core.rendering.render import MarchSettings
 from snerg.core.scene.scene import Scene
 from snerg.core.study.contact_sheet import contact_sheet, error_picture
-from snerg.core.study.evaluate import COLUMNS, Score, Target, held_out, open_target
+from snerg.core.study.evaluate import COLUMNS, EvaluationTarget, Score, held_out, open_target
 from snerg.core.training.provenance import options_of, trained
 from snerg.core.training.validation import some_views
 
-USUAL = MarchSettings()
+DEFAULT_MARCH = MarchSettings()
 MINUTES = 3.0  # to train the demo's field
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """A row of the paper's tables. bake: more for `snerg bake`; none: the whole method's scene, stored or marched otherwise.
+    """A row of the paper's tables of ablations."""
 
-    scale: of the resolution.
-    """
-
-    about: str
-    bake: tuple[str, ...] = ()
-    scale: float = 1.0
-    codec: CodecSettings | None = None
-    march: MarchSettings = USUAL
+    about: str  # the description in the table
+    bake: tuple[str, ...] = ()  # further options of `snerg bake`; none: the scene of the whole method is used
+    scale: float = 1.0  # factor of the resolution
+    codec: CodecSettings | None = None  # how the scene is stored, if not as PNG
+    march: MarchSettings = DEFAULT_MARCH  # how it is rendered
 
 
 ABLATIONS = {
@@ -89,7 +86,7 @@ class Setup:
     background: tuple[float, float, float]
 
     def baked(self, name: str, *arguments: str, resolution: int | None = None) -> dict[str, Any]:
-        """Bake a scene of this name in a process of its own; kept from an earlier run only as far as `bake` itself does."""
+        """Bake a scene in a process of its own; returns its times, sizes and peak memory, and stores them beside the scene."""
         folder, began = self.out / "scenes" / name, time.perf_counter()
         size = ("--resolution", str(resolution or self.resolution))
         result, peak = snerg("bake", str(self.field), "--out", str(folder), *size, *arguments)
@@ -101,7 +98,7 @@ class Setup:
         return facts
 
     def whole(self) -> dict[str, Any]:
-        """The facts of the whole method's bake, which other rows start from: made once for a field and a resolution."""
+        """The measurements of the bake without ablation, which other rows reuse; baked once for a field and a resolution."""
         path = self.out / "scenes" / "whole.json"
         facts = json.loads(path.read_text()) if path.is_file() else {}
         if (facts.get("field"), facts.get("resolution")) != (self.stamp, self.resolution):
@@ -110,23 +107,23 @@ class Setup:
 
     @cached_property
     def scene(self) -> Scene:
-        """The whole method's scene."""
+        """The scene baked without ablation."""
         self.whole()
         return read_scene(self.out / "scenes" / "whole")
 
     @property
     def stamp(self) -> str:
-        """Of the field: another for another."""
+        """Identifies the field: its path and the time of its last change."""
         return f"{self.field.resolve()} {(self.field / 'field.npz').stat().st_mtime_ns}"
 
 
-def measure(setup: Setup, path: Path, settings: MarchSettings = USUAL, pictures: Path | None = None) -> dict[str, Any]:
-    """{"psnr", "ssim", "frame"} of a field or a scene on the views; frame: median seconds. pictures: a sheet beside the truth."""
-    subject: Target = open_target(path, settings)
+def measure(setup: Setup, path: Path, settings: MarchSettings = DEFAULT_MARCH, pictures: Path | None = None) -> dict[str, Any]:
+    """{"psnr", "ssim", "frame"} of a field or a scene on the views; frame: median seconds. pictures: file for a contact sheet, if any."""
+    subject: EvaluationTarget = open_target(path, settings)
     score, rows = Score(), []
     for index, camera in enumerate(setup.views.cameras):
         if not index:
-            subject.render(camera, silent)  # the first of all takes longer, whatever is measured
+            subject.render(camera, silent)  # warm-up
         began = time.perf_counter()
         frame = subject.render(camera, silent)
         seconds = time.perf_counter() - began
@@ -140,7 +137,7 @@ def measure(setup: Setup, path: Path, settings: MarchSettings = USUAL, pictures:
 
 
 def bake_part(setup: Setup) -> dict[str, Any]:
-    """Baking and refining, and what each step loses."""
+    """Bake with and without fine-tuning: times, and the quality after each step."""
     unrefined = setup.baked("no-refine", "--no-refine")
     refined = setup.baked("whole")
     scenes = setup.out / "scenes"
@@ -163,11 +160,11 @@ def large_part(setup: Setup) -> dict[str, Any]:
 
 
 def scaling_part(setup: Setup) -> dict[str, Any]:
-    """Time against rays, samples and blocks, and the plot of it."""
+    """How the times grow with rays, samples and blocks, with a plot."""
     rays, samples = marching.growing(setup.scene, setup.views.cameras[0], setup.size)
     source, blocks = read_field(setup.field), []
-    for turn, share in enumerate((0.2, 0.2, 0.3, 0.4, 0.5, 0.6)):  # the first one compiles
-        settings = BakeSettings(max(2, round(share * setup.resolution)), samples=1)
+    for turn, share in enumerate((0.2, 0.2, 0.3, 0.4, 0.5, 0.6)):  # the first bake compiles and is not counted
+        settings = BakeSettings(max(2, round(share * setup.resolution)), supersampling=1)
         began = time.perf_counter()
         baked = bake(source, source.domain.world_box(), source.cameras, settings)
         if turn:
@@ -182,7 +179,7 @@ def scaling_part(setup: Setup) -> dict[str, Any]:
 
 
 def ablated(setup: Setup, row: Ablation, name: str) -> dict[str, Any]:
-    """A row of the paper's tables."""
+    """Measure an ablation."""
     folder, resolution = setup.out / "scenes" / name, round(row.scale * setup.resolution)
     if row.bake or row.scale != 1:
         facts = setup.baked(name, *row.bake, resolution=resolution)
@@ -208,7 +205,7 @@ PARTS: dict[str, Callable[[Setup], dict[str, Any]]] = {
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure the chosen rows one after the other; the exit code is 0 when all of them are done."""
+    """Measure the chosen rows in order; returns the exit code, 0 on success."""
     options = parsed(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     machine, results = described(), {}
@@ -228,7 +225,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parsed(arguments: list[str] | None) -> argparse.Namespace:
-    """The options; those after --out are for trying the benchmark itself."""
+    """The command-line options; those after --out are for tests of the benchmark itself."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     names = [*PARTS, *ABLATIONS]
     parser.add_argument("--field", type=Path, help="a trained field (default: one of the demo's scene)")
@@ -247,7 +244,7 @@ def parsed(arguments: list[str] | None) -> argparse.Namespace:
 
 
 def prepared(options: argparse.Namespace) -> Setup:
-    """The field and the views that it is measured on."""
+    """Open the field and the held-out views."""
     path = options.field or demo_field(OUT)
     source = read_field(path)
     known = trained(source.about)
@@ -257,7 +254,7 @@ def prepared(options: argparse.Namespace) -> Setup:
 
 
 def demo_field(out: Path) -> Path:
-    """A field of the demo's scene, trained once."""
+    """A field of the demo's scene, trained on first use."""
     path = out / "demo" / "field"
     if not (path / "field.npz").is_file():
         snerg("train", str(demo(out)), "--out", str(path), "--minutes", f"{MINUTES:g}")
@@ -265,12 +262,12 @@ def demo_field(out: Path) -> Path:
 
 
 def subject(setup: Setup) -> str:
-    """What was measured, in a sentence."""
+    """A sentence that says what was measured."""
     return f"{setup.views.root.name}, {len(setup.views.views)} of {setup.of} held-out views."
 
 
 def tables(results: dict[str, Any], setup: Setup) -> list[str]:
-    """Each part that was measured as Markdown."""
+    """A Markdown table for each part that was measured."""
     found = [figures(results)] if results.keys() & {"bake", "large", "preview"} else []
     if "profile" in results:
         found.append(profile_table(results["profile"]))
@@ -285,7 +282,7 @@ def tables(results: dict[str, Any], setup: Setup) -> list[str]:
 
 
 def figures(results: dict[str, Any]) -> str:
-    """What was asked of the grid, and what came of it."""
+    """The table of bake, memory, storage and preview."""
     rows: list[list[Any]] = []
     if bakes := results.get("bake"):
         one, two, quality = bakes["unrefined"], bakes["refined"], bakes["quality"]
@@ -311,18 +308,18 @@ def figures(results: dict[str, Any]) -> str:
 
 
 def stages(facts: dict[str, Any]) -> str:
-    """Seconds of a bake and its stages."""
+    """The seconds of a bake and of its stages, as text."""
     return f"{facts['seconds']['bake']:.1f} s ({', '.join(f'{name} {seconds:.1f}' for name, seconds in facts['stages'].items())})"
 
 
 def memory(facts: dict[str, Any]) -> str:
-    """The peak of a bake, and what of it the atlas is."""
+    """The peak memory of a bake and the size of its atlas, as text."""
     peak = "unknown" if facts["peak_gb"] is None else f"{facts['peak_gb']:.2f} GB"
     return f"peak memory {peak}, of which the atlas {facts['atlas_gb']:.2f} GB"
 
 
 def profile_table(found: dict[str, Any]) -> str:
-    """Where the time of a march goes; functions below a hundredth are put together."""
+    """The profile of the march; functions below 1 % are summed."""
     total = found["seconds_watched"]
     named = [row for row in found["rows"] if row["seconds"] >= 0.01 * total]
     other = total - sum(row["seconds"] for row in named)
@@ -333,7 +330,7 @@ def profile_table(found: dict[str, Any]) -> str:
 
 
 def gather_table(found: dict[str, Any]) -> str:
-    """The march beside reading its voxels."""
+    """The table of the march against memory bandwidth."""
     words = 8 * found["samples"]
     rows = [
         [name, f"{1000 * seconds:.0f} ms", f"{words / seconds / 1e6:.0f}", f"{found['march'] / seconds:.1f} x"]
@@ -349,7 +346,7 @@ def gather_table(found: dict[str, Any]) -> str:
 
 
 def ablation_table(rows: list[list[Any]]) -> str:
-    """In the shape of the paper's tables 1 to 3 and 5."""
+    """The table of ablations, in the layout of the paper's tables 1 to 3 and 5."""
     cells = []
     for name, row in rows:
         spent = "—" if "write" in row else f"{sum(row['seconds'].values()):.0f} s"

@@ -1,4 +1,4 @@
-"""Where a march's time goes: by function, against the machine's own speed at reading memory, and as what there is to march grows."""
+"""Measures the marcher: preview times, a profile by function, memory bandwidth, and how the time grows with rays and samples."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from common import ROOT
 from naive_march import naive_march
 
 from snerg.core.geometry.camera import Camera
-from snerg.core.rendering import ray_marcher
+from snerg.core.rendering import interpolator, ray_marcher
 from snerg.core.rendering.acceleration import acceleration_of
-from snerg.core.rendering.render import INVISIBLE, MarchSettings, march_rays, progressive, render_scene, tiled
+from snerg.core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
 
-ALONE = MarchSettings(threads=1)
-SHOWN = MarchSettings(INVISIBLE)
-REPEATS = 3
-RANDOM = 2**22  # words read in no order
+SINGLE_THREAD = MarchSettings(threads=1)
+PREVIEW = MarchSettings(PREVIEW_TOLERANCE)
+REPEATS = 3  # timed runs, after one that is not timed
+RANDOM_WORDS = 2**22  # voxels read in random order
 
 
 def sized(camera: Camera, size: int) -> Camera:
@@ -36,7 +36,7 @@ def sized(camera: Camera, size: int) -> Camera:
 
 
 def timed(work: Callable[[], Any], repeats: int = REPEATS) -> float:
-    """Seconds of the quickest of some repeats, after one that does not count: what else runs on a machine only adds to them."""
+    """Seconds of the fastest of some repeats, after a warm-up: other load on the machine can only add time."""
     work()
     seconds = []
     for _ in range(repeats):
@@ -46,28 +46,31 @@ def timed(work: Callable[[], Any], repeats: int = REPEATS) -> float:
     return min(seconds)
 
 
-def preview(snerg: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
-    """Seconds a picture at two sizes (median over the views, and the slowest), until a first small one, at the tolerance with which
-    Blender shows it, and against the naive march."""
+def preview(scene: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
+    """Render times at two sizes, `size` pixels along the longer side and twice that, and against the naive march.
+
+    For each size, seconds: median over the views ("seconds"), the slowest view, median to the first picture of a progressive render
+    ("first"), median at the tolerance of Blender's preview ("shown").
+    """
     result: dict[str, Any] = {"views": len(cameras)}
     for name, pixels in (("small", size), ("large", 2 * size)):
         views = [sized(camera, pixels) for camera in cameras]
-        seconds = [timed(lambda view=view: render_scene(snerg, view)) for view in views]  # type: ignore[misc]
-        first = [timed(lambda view=view: next(progressive(snerg, view))) for view in views]  # type: ignore[misc]
-        shown = [timed(lambda view=view: render_scene(snerg, view, SHOWN)) for view in views]  # type: ignore[misc]
+        seconds = [timed(lambda view=view: render_scene(scene, view)) for view in views]  # type: ignore[misc]
+        first = [timed(lambda view=view: next(render_progressively(scene, view))) for view in views]  # type: ignore[misc]
+        shown = [timed(lambda view=view: render_scene(scene, view, PREVIEW)) for view in views]  # type: ignore[misc]
         medians = {key: statistics.median(values) for key, values in (("seconds", seconds), ("first", first), ("shown", shown))}
         result[name] = {"pixels": pixels, "slowest": max(seconds), **medians}
     view = sized(cameras[0], size)
-    quick = timed(lambda: render_scene(snerg, view))
+    ours = timed(lambda: render_scene(scene, view))
     began = time.perf_counter()
-    naive = naive_march(snerg, view)
-    slow = time.perf_counter() - began
-    difference = float(np.abs(naive - render_scene(snerg, view).over()).max())
-    return result | {"naive": {"seconds": slow, "ours": quick, "times": slow / quick, "difference": difference}}
+    naive = naive_march(scene, view)
+    baseline = time.perf_counter() - began
+    difference = float(np.abs(naive - render_scene(scene, view).over()).max())
+    return result | {"naive": {"seconds": baseline, "ours": ours, "times": baseline / ours, "difference": difference}}
 
 
 class Profile:
-    """Seconds that each function of this package takes itself, NumPy included, in threads that begin while this is open."""
+    """A profiler: seconds spent in each function of this package, calls into NumPy included, in threads started while it is open."""
 
     def __init__(self) -> None:
         self.seconds: dict[CodeType, float] = defaultdict(float)
@@ -92,12 +95,12 @@ class Profile:
                 stack.pop()
         elif frame.f_code.co_filename.startswith(str(ROOT / "core")):
             stack.append(frame.f_code)
-        else:  # of Python or NumPy: its caller's
+        else:  # a function of Python or NumPy counts for its caller
             stack.append(stack[-1] if stack else None)
         local["since"] = time.perf_counter()
 
     def rows(self) -> list[dict[str, Any]]:
-        """{"function", "what", "seconds"}, the most expensive first; what is defined inside a function counts as that."""
+        """{"function", "what", "seconds"}, slowest first; nested functions count for the function that defines them."""
         found: dict[str, dict[str, Any]] = {}
         for code, seconds in self.seconds.items():
             module = code.co_filename.rsplit("/", 1)[-1].removesuffix(".py")
@@ -110,80 +113,80 @@ class Profile:
         return sorted(found.values(), key=lambda row: -row["seconds"])
 
 
-def profile(snerg: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
-    """The march of some views in one thread: seconds in all, and by function."""
+def profile(scene: Scene, cameras: Sequence[Camera], size: int) -> dict[str, Any]:
+    """Profile rendering some views in one thread: seconds in total and by function."""
     views = [sized(camera, size) for camera in cameras]
-    alone = sum(timed(lambda view=view: render_scene(snerg, view, ALONE), 1) for view in views)  # type: ignore[misc]
+    alone = sum(timed(lambda view=view: render_scene(scene, view, SINGLE_THREAD), 1) for view in views)  # type: ignore[misc]
     with Profile() as found:
         began = time.perf_counter()
         for view in views:
-            render_scene(snerg, view, ALONE)
+            render_scene(scene, view, SINGLE_THREAD)
         watched = time.perf_counter() - began
     rows = found.rows()
     left = watched - sum(row["seconds"] for row in rows)
-    rows.append({"function": "the rest", "what": "threads, and putting the picture together", "seconds": left})
+    rows.append({"function": "the rest", "what": "starting threads and assembling the picture", "seconds": left})
     return {"views": len(views), "pixels": size, "seconds": alone, "seconds_watched": watched, "rows": rows}
 
 
 @contextmanager
 def interpolated() -> Iterator[list[np.ndarray]]:
-    """What the marcher interpolates meanwhile: the first voxel of each sample, a call an array."""
+    """Records the stencils that the marcher interpolates: an array of base indices [n] a call."""
     calls: list[np.ndarray] = []
 
-    class ResumeCache(ray_marcher.Interpolate):
-        def __call__(self, first: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-            calls.append(first.copy())
-            return super().__call__(first, fraction)
+    class Recorder(ray_marcher.Interpolator):
+        def __call__(self, base: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+            calls.append(base.copy())
+            return super().__call__(base, fraction)
 
-    usual = ray_marcher.Interpolate
-    ray_marcher.Interpolate = ResumeCache  # type: ignore[misc]
+    original = ray_marcher.Interpolator
+    ray_marcher.Interpolator = Recorder  # type: ignore[misc]
     try:
         yield calls
     finally:
-        ray_marcher.Interpolate = usual  # type: ignore[misc]
+        ray_marcher.Interpolator = original  # type: ignore[misc]
 
 
-def gathering(snerg: Scene, camera: Camera, size: int) -> dict[str, Any]:
-    """The march in one thread beside what the machine needs just to read the same voxels, in the same order, and in none."""
-    view, tables = sized(camera, size), acceleration_of(snerg)
+def gathering(scene: Scene, camera: Camera, size: int) -> dict[str, Any]:
+    """The time of a single-threaded march, and of only reading the same voxels, in the same and in random order."""
+    view, acceleration = sized(camera, size), acceleration_of(scene)
     with interpolated() as calls:
-        render_scene(snerg, view, ALONE)
-    reader = ray_marcher.Interpolate(tables)
-    spare = np.empty((ray_marcher.SLICE, *tables.voxels.shape[1:]), tables.voxels.dtype)
+        render_scene(scene, view, SINGLE_THREAD)
+    reader = ray_marcher.Interpolator(acceleration)
+    spare = np.empty((interpolator.MAX_INTERPOLATED, *acceleration.voxels.shape[1:]), acceleration.voxels.dtype)
 
     def read(calls: list[np.ndarray]) -> None:
-        for first in calls:
+        for base in calls:
             for corner in reader.corners:
-                corner.take(first, axis=0, out=spare[: len(first)], mode="clip")
+                corner.take(base, axis=0, out=spare[: len(base)], mode="clip")
 
-    samples = sum(len(first) for first in calls)
+    samples = sum(len(base) for base in calls)
     rng = np.random.default_rng(0)
-    anywhere = rng.integers(0, len(reader.corners[-1]), max(1, RANDOM // 8 // ray_marcher.SLICE) * ray_marcher.SLICE).reshape(
-        -1, ray_marcher.SLICE
-    )
+    random_bases = rng.integers(
+        0, len(reader.corners[-1]), max(1, RANDOM_WORDS // 8 // interpolator.MAX_INTERPOLATED) * interpolator.MAX_INTERPOLATED
+    ).reshape(-1, interpolator.MAX_INTERPOLATED)
     return {
         "pixels": size,
         "rays": view.width * view.height,
         "samples": samples,
-        "word_bytes": tables.voxels.itemsize * (tables.voxels.shape[1] if tables.voxels.ndim > 1 else 1),
-        "march": timed(lambda: render_scene(snerg, view, ALONE)),
+        "word_bytes": acceleration.voxels.itemsize * (acceleration.voxels.shape[1] if acceleration.voxels.ndim > 1 else 1),
+        "march": timed(lambda: render_scene(scene, view, SINGLE_THREAD)),
         "in_order": timed(lambda: read(calls)),
-        "at_random": timed(lambda: read(list(anywhere))) * 8 * samples / (8 * anywhere.size),
+        "at_random": timed(lambda: read(list(random_bases))) * 8 * samples / (8 * random_bases.size),
     }
 
 
-def growing(snerg: Scene, camera: Camera, size: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """(rays, seconds) of one view at rising sizes; (samples taken, seconds) of as many rays that see more and more of the scene."""
+def growing(scene: Scene, camera: Camera, size: int) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Scaling of the render time: (rays, seconds) of a view at growing sizes, (samples, seconds) of it at growing focal lengths."""
     rays = []
     for share in (0.25, 0.5, 0.75, 1, 1.25, 1.5, 1.75, 2):
         view = sized(camera, max(8, round(share * size)))
-        rays.append((float(view.width * view.height), timed(lambda view=view: render_scene(snerg, view))))  # type: ignore[misc]
+        rays.append((float(view.width * view.height), timed(lambda view=view: render_scene(scene, view))))  # type: ignore[misc]
     samples = []
     for zoom in (0.3, 0.5, 0.7, 0.85, 1, 1.15, 1.3):
         view = sized(camera, size)
         view = replace(view, focal=(zoom * view.focal[0], zoom * view.focal[1]))
-        rays_of_view = view.rays(tiled(view.width, view.height))
+        rays_of_view = view.rays(tiled_pixels(view.width, view.height))
         samples.append(
-            (float(march_rays(snerg, *rays_of_view, near=view.near).samples or 0), timed(lambda view=view: render_scene(snerg, view)))
+            (float(march_rays(scene, *rays_of_view, near=view.near).samples or 0), timed(lambda view=view: render_scene(scene, view)))
         )  # type: ignore[misc]
     return rays, samples

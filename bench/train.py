@@ -1,4 +1,4 @@
-"""`make bench-train`: how good a field gets in how many minutes, as a table with the machine that it was measured on.
+"""`make bench-train`: the quality of a field by minutes of training, as a table with the machine.
 
 Each row is a `snerg train` and a `snerg eval` in processes of their own, so that the peak memory is the training's alone. The
 data sets are in the folder SNERG_DATA (or DATA=FOLDER): lego400, fern and fox. Without it the demo's scene takes their place.
@@ -21,29 +21,29 @@ from PIL import Image
 
 
 @dataclass(frozen=True)
-class Row:
-    """dataset: its folder; minutes of training; white: with the alpha channel dropped; arguments: more for `snerg train`."""
+class TrainingRow:
+    """A training to measure."""
 
-    dataset: str
-    minutes: float
-    about: str
-    white: bool = False
-    arguments: tuple[str, ...] = ()
+    dataset: str  # name of its folder
+    minutes: float  # of training
+    about: str  # for people
+    white: bool = False  # composite the images over white, without an alpha channel
+    arguments: tuple[str, ...] = ()  # more of `snerg train`
 
 
 ROWS = {
-    "lego-2": Row("lego400", 2, "hash grid"),
-    "lego-5": Row("lego400", 5, "hash grid"),
-    "lego-10": Row("lego400", 10, "hash grid"),
-    "lego-5-white": Row("lego400", 5, "hash grid, no alpha channel", white=True),
-    "lego-5-mlp": Row("lego400", 5, "positional-encoding MLP", arguments=("--preset", "mlp")),
-    "fern": Row("fern", 10, "hash grid, every 8th held out", arguments=("--holdout", "8")),
-    "fox": Row("fox", 10, "hash grid, every 8th held out", arguments=("--holdout", "8")),
+    "lego-2": TrainingRow("lego400", 2, "hash grid"),
+    "lego-5": TrainingRow("lego400", 5, "hash grid"),
+    "lego-10": TrainingRow("lego400", 10, "hash grid"),
+    "lego-5-white": TrainingRow("lego400", 5, "hash grid, no alpha channel", white=True),
+    "lego-5-mlp": TrainingRow("lego400", 5, "positional-encoding MLP", arguments=("--preset", "mlp")),
+    "fern": TrainingRow("fern", 10, "hash grid, every 8th held out", arguments=("--holdout", "8")),
+    "fox": TrainingRow("fox", 10, "hash grid, every 8th held out", arguments=("--holdout", "8")),
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure the chosen rows one after the other; the exit code is 0 when all of them are done."""
+    """Measure the chosen rows and print the table. Returns the exit code, 0."""
     options = parsed(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     machine, results = described(), []
@@ -56,7 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def parsed(arguments: list[str] | None) -> argparse.Namespace:
-    """The options; where there is no data, only the rows that the demo's scene can stand in for."""
+    """The parsed options; without data, only the rows whose dataset the demo replaces."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=os.environ.get("SNERG_DATA") or None, help="folder with lego400, fern and fox")
     parser.add_argument("--rows", default="", help=f"of {', '.join(ROWS)}, with commas (default: all that the data allow)")
@@ -75,8 +75,8 @@ def parsed(arguments: list[str] | None) -> argparse.Namespace:
     return options
 
 
-def measure(name: str, row: Row, options: argparse.Namespace) -> dict[str, Any]:
-    """Train and evaluate one row."""
+def measure(name: str, row: TrainingRow, options: argparse.Namespace) -> dict[str, Any]:
+    """Train and evaluate one row; returns its line of train.json."""
     print(f"{name}: {row.minutes:g} minutes of {row.dataset}, {row.about} ...", file=sys.stderr, flush=True)
     folder = options.out / name
     shutil.rmtree(folder, ignore_errors=True)
@@ -100,14 +100,14 @@ def measure(name: str, row: Row, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def source(row: Row, options: argparse.Namespace) -> Path:
-    """The row's dataset: as it is, without its alpha channel, or the demo's."""
+def source(row: TrainingRow, options: argparse.Namespace) -> Path:
+    """The folder of the row's dataset, of its copy without alpha, or of the demo's."""
     dataset = options.data / row.dataset if options.data is not None else demo(options.out)
     return without_alpha(dataset, options.out / f"{dataset.name}-white") if row.white else dataset
 
 
 def without_alpha(dataset: Path, copy: Path) -> Path:
-    """A copy of a dataset whose pictures are opaque, over white, made once."""
+    """The copy of a dataset with images composited over white, which is made if it is not there."""
     if copy.is_dir():
         return copy
     part = copy.with_name(f".{copy.name}.part")
@@ -121,7 +121,7 @@ def without_alpha(dataset: Path, copy: Path) -> Path:
 
 
 def table(machine: dict[str, Any], results: list[dict[str, Any]]) -> str:
-    """Everything as Markdown."""
+    """The machine and a row for each training, as Markdown."""
     lines = [
         on_machine(machine),
         "",

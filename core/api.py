@@ -28,7 +28,7 @@ from .nerf.frame import Frame
 from .progress import Progress, silent, within
 from .rendering.render import MarchSettings, render_scene
 from .scene.scene import Scene
-from .study.evaluate import Target, measure_into
+from .study.evaluate import EvaluationTarget, measure_into
 from .training.provenance import background_of, options_of, trained
 
 Place = str | os.PathLike[str]
@@ -110,7 +110,7 @@ def evaluate(source: Scene | Field, views: Dataset, *, out: Place | None = None,
     """
     known = source.about.get("trained", {}) if isinstance(source, Scene) else trained(source.about)
     kind = "scene" if isinstance(source, Scene) else "field"
-    target = Target(kind, lambda camera, tell: render(source, camera, progress=tell), background_of(known), "", options_of(known))
+    target = EvaluationTarget(kind, lambda camera, tell: render(source, camera, progress=tell), background_of(known), "", options_of(known))
     return measure_into(target, views, None if out is None else Path(out), progress)
 
 

@@ -1,4 +1,4 @@
-"""What lies at a path: a dataset, a field or a scene."""
+"""Opens a path as a dataset, a field or a scene. What lies at a path is decided here and nowhere else."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from .data.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
 from .export.scene_files import is_scene, read_scene
-from .io.files import MARK, one_generation
+from .io.files import MARK
+from .io.generation import one_generation
 from .nerf.checkpoint import is_field, read_field
 from .nerf.field import Field
 from .nerf.reference_checkpoint import field_of, find_checkpoint, read_reference_checkpoint
@@ -25,7 +26,9 @@ SCENES = ("scene", "reference scene", "page")
 
 
 def kind_of(path: Path) -> str:
-    """'scene', 'field', 'reference scene', 'page', 'dataset' or 'checkpoint'. Raises SnergError when it is none of these."""
+    """What lies at a path: 'dataset', 'field', 'checkpoint' (a field of the reference implementation), 'scene', 'reference scene' (in
+    the published layout) or 'page' (a web page with a scene). Raises SnergError when it is none of these.
+    """
     if not path.exists():
         raise SnergError(f"{path} does not exist; check the path.")
     if path.is_dir() and is_scene(path):
@@ -44,16 +47,19 @@ def kind_of(path: Path) -> str:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether a folder or file looks like a capture that one of the readers knows."""
+    """Whether one of the readers knows the format of a capture at `path`. Its files are not read."""
     try:
         return transforms.is_transforms(path) or llff.is_llff(path) or colmap.is_colmap(path)
     except OSError:
-        return False  # a folder that may not be looked into
+        return False  # no permission to list the folder
 
 
 def open_artifact(path: str | os.PathLike[str], progress: Progress = silent) -> Dataset | Field | Scene:
-    """What lies at a path: a capture's train split, a field (ours or a reference checkpoint's), or a scene (a folder of ours, of the
-    published layout, or a web page's). Raises SnergError where it is none of these, or damaged."""
+    """The dataset (its train split), field or scene at a path; for each kind of `kind_of` one of these types.
+
+    If the path is replaced meanwhile, all of the result is of one generation of it. Raises SnergError when it is none of these kinds,
+    or damaged.
+    """
     place = Path(path)
 
     def opened() -> Dataset | Field | Scene:

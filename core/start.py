@@ -1,4 +1,4 @@
-"""Where the command line begins: Ctrl-C is heard before NumPy and all the rest are imported."""
+"""The entry point of the command line: it handles Ctrl-C before NumPy and the other modules are imported."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .errors import EXIT_STOPPED
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb and return its exit code; see cli.main. Stopped from the keyboard, the process ends here."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    if "--job" not in words:  # a job tells its parent that it was stopped
+    """Run one command and return its exit code; see cli.main. After Ctrl-C the process ends here."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    if "--job" not in given:  # a job reports to its parent process that it was stopped
         signal.signal(signal.SIGINT, stop)
     from . import cli
 
-    code = cli.main(words)
+    code = cli.main(given)
     if code == EXIT_STOPPED:
         from .jobs.interrupt import end
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def stop(number: int, frame: FrameType | None) -> None:
-    """The keyboard's signal while nothing has begun yet, or all is done."""
+    """Handle Ctrl-C (SIGINT) before a command starts and after it ends: end the process."""
     os.write(2, b"snerg: Stopped.\n")
     os._exit(EXIT_STOPPED)
 

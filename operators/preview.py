@@ -15,7 +15,7 @@ from ..core.geometry.camera import Camera
 from ..core.jobs.task import Task, ThreadTask
 from ..core.nerf.frame import Frame
 from ..core.progress import Progress
-from ..core.rendering.render import INVISIBLE, MarchSettings, progressive
+from ..core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, render_progressively
 from ..core.scene.scene import Scene
 from ..snerg_addon.bridge import camera_from_blender, write_image
 from ..snerg_addon.capture import evaluated
@@ -71,7 +71,7 @@ class PreviewTask(ThreadTask):
         super().__init__(lambda progress: self._march(project, camera, progress), "Reading the scene")
 
     def _march(self, project: Project, camera: Camera, progress: Progress) -> dict[str, Any]:
-        for frame in progressive(loaded(project), camera, MarchSettings(INVISIBLE), progress):
+        for frame in render_progressively(loaded(project), camera, MarchSettings(PREVIEW_TOLERANCE), progress):
             self._frame = frame
             self.news.set()
         return {"width": camera.width, "height": camera.height, "camera": camera.name}

@@ -14,7 +14,7 @@ from ..core.geometry.box import Box
 from ..core.nerf.checkpoint import read_field
 from ..core.study.cost_model import estimate
 from ..core.study.field_probe import FieldProbe
-from ..core.study.field_probe_file import read_survey, stamp
+from ..core.study.field_probe_file import read_field_probe, stamp
 from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 
@@ -32,7 +32,7 @@ def probe_of(project: Project) -> FieldProbe | None:
     known = _probes.get(project.survey)
     if known is None or known[0] != written:
         try:
-            found = read_survey(project.survey, stamp(project.field), lambda: read_field(project.field))
+            found = read_field_probe(project.survey, stamp(project.field), lambda: read_field(project.field))
         except (SnergError, OSError):
             found = None
         _summaries.clear()
@@ -48,7 +48,7 @@ def lines(context: bpy.types.Context) -> list[str]:
     settings, box = context.scene.snerg, box_of(context.scene)
     try:
         volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
-        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, samples=settings.samples)
+        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
         return _lines(probe, volume, wanted, settings.refine, resolution(context.scene))
     except SnergError as error:
         return [str(error)]

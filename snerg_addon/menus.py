@@ -7,9 +7,9 @@ import bpy
 STEPS = (
     ("snerg.render_dataset", "snerg.use_views", "snerg.import_dataset"),
     ("snerg.train", "snerg.import_field"),
-    ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene"),
+    ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene", "snerg.add_scene"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),
-    ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb"),
+    ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
 )
 
 

@@ -8,10 +8,18 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, engine, menus, panels, properties, saving, scene_object
+from . import command, engine, menus, panels, preferences, properties, saving, scene_object
 from .viewport import draw
 
-CLASSES = (*properties.CLASSES, scene_object.SNERG_PG_object, engine.SNERG_RE_engine, *operators.classes(), *panels.CLASSES, *menus.CLASSES)
+CLASSES = (
+    preferences.SNERG_AP_preferences,
+    *properties.CLASSES,
+    scene_object.SNERG_PG_object,
+    engine.SNERG_RE_engine,
+    *operators.classes(),
+    *panels.CLASSES,
+    *menus.CLASSES,
+)
 _commands: list[Any] = []
 
 

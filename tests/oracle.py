@@ -1,4 +1,4 @@
-"""The slow, plain, float64 march that every other march is measured against: no skipping, no early stop."""
+"""A simple, slow ray march in float64, the reference for all others: no empty-space skipping, no early termination."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from snerg.core.scene.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """colour [H, W, 3] float64 premultiplied, view dependence included; transmittance [H, W]; depth [H, W]: the mean distance in
-    world units (that of the mean place in NDC), infinite where nothing is. `composited` [H, W, C - 1]: colour and features
-    before the network."""
+    """A rendered picture, float64.
+
+    colour: [H, W, 3] premultiplied, with view dependence. transmittance: [H, W]. depth: [H, W] expected distance in world units (in NDC:
+    the distance of the expected position), infinite in empty pixels. composited: [H, W, C - 1] colour and features before the network.
+    """
 
     colour: np.ndarray
     transmittance: np.ndarray
@@ -25,74 +27,73 @@ class Truth:
     composited: np.ndarray
 
     def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> np.ndarray:
-        """[H, W, 3] in [0, 1]."""
+        """The picture over a background colour, [H, W, 3] in [0, 1]."""
         return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
 
 
-def dense_march(snerg: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
-    """Every sample of every ray, one after the other (sections 5.2 and 4.2)."""
+def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
+    """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
-    values, through, depth = dense_rays(snerg, origins, directions, max(snerg.near, camera.near), per_sample_network)
+    values, transmittance, depth = dense_rays(scene, origins, directions, max(scene.near, camera.near), per_sample_network)
     colour = values[:, :3].copy()
-    if snerg.network is not None and not per_sample_network:
-        seen = through <= NETWORK_TRANSMITTANCE
-        white = colour + through[:, None]
-        colour[seen] += residual(snerg, white[seen], values[seen, 3:], directions[seen] @ snerg.view_rotation.T)
+    if scene.network is not None and not per_sample_network:
+        seen = transmittance <= NETWORK_TRANSMITTANCE
+        white = colour + transmittance[:, None]
+        colour[seen] += residual(scene, white[seen], values[seen, 3:], directions[seen] @ scene.view_rotation.T)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depth = np.where(through < 1, depth / (1 - through), np.inf)
-        if snerg.ndc is not None:
-            depth = world_depth(snerg.ndc, origins, directions, depth, max(snerg.near, camera.near))
+        depth = np.where(transmittance < 1, depth / (1 - transmittance), np.inf)
+        if scene.ndc is not None:
+            depth = world_depth(scene.ndc, origins, directions, depth, max(scene.near, camera.near))
     h, w = camera.height, camera.width
-    return Truth(colour.reshape(h, w, 3), through.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
+    return Truth(colour.reshape(h, w, 3), transmittance.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
 def dense_rays(
-    snerg: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
+    scene: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N] of rays in the world; depth in units of
-    the grid's space."""
+    """March rays of the world: premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N], in the grid's units."""
     begins = near
-    views = directions @ snerg.view_rotation.T
-    if snerg.ndc is not None:
-        origins, directions = device_rays(snerg.ndc, origins, directions, near)
+    views = directions @ scene.view_rotation.T
+    if scene.ndc is not None:
+        origins, directions = device_rays(scene.ndc, origins, directions, near)
         begins = 0.0
-    axes, corner = snerg.grid_to_world[:3, :3], snerg.grid_to_world[:3, 3]
-    origin = (origins - corner) @ axes / snerg.voxel_size
+    axes, corner = scene.grid_to_world[:3, :3], scene.grid_to_world[:3, 3]
+    origin = (origins - corner) @ axes / scene.voxel_size
     direction = directions @ axes
     with np.errstate(divide="ignore", invalid="ignore"):
-        walls = np.stack([-origin / direction, (np.array(snerg.shape) - origin) / direction])
+        walls = np.stack([-origin / direction, (np.array(scene.shape) - origin) / direction])
     parallel = direction == 0
-    inside = (origin >= 0) & (origin <= np.array(snerg.shape))
+    inside = (origin >= 0) & (origin <= np.array(scene.shape))
     enters = np.where(parallel, np.where(inside, -np.inf, np.inf), walls.min(axis=0)).max(axis=-1)
     leaves = np.where(parallel, np.where(inside, np.inf, -np.inf), walls.max(axis=0)).min(axis=-1)
-    start = np.maximum(enters, begins / snerg.voxel_size)
-    values = np.zeros((len(origin), snerg.cells.shape[-1] - 1))
-    through, depth = np.ones(len(origin)), np.zeros(len(origin))
+    start = np.maximum(enters, begins / scene.voxel_size)
+    values = np.zeros((len(origin), scene.cells.shape[-1] - 1))
+    transmittance, depth = np.ones(len(origin)), np.zeros(len(origin))
     k = 0
     while True:
         t = start + 0.5 + k
         live = np.flatnonzero(t < leaves)
         if not len(live):
-            return fill(values, through, depth) if snerg.opacity_correction else (values, through, depth)
-        sample = trilinear(snerg, origin[live] + t[live, None] * direction[live])
-        if per_sample_network:  # as a surface of the sample's own colour would look, alpha times
+            return correct_opacity(values, transmittance, depth) if scene.opacity_correction else (values, transmittance, depth)
+        sample = trilinear(scene, origin[live] + t[live, None] * direction[live])
+        if per_sample_network:  # alpha times the residual of a surface with the sample's straight colour
             alpha = sample[:, -1:]
             straight = sample[:, :-1] / np.where(alpha > 0, alpha, 1)
-            sample[:, :3] += alpha * residual(snerg, straight[:, :3], straight[:, 3:], views[live])
-        values[live] += through[live, None] * sample[:, :-1]
-        depth[live] += through[live] * sample[:, -1] * t[live] * snerg.voxel_size
-        through[live] *= 1 - sample[:, -1]
+            sample[:, :3] += alpha * residual(scene, straight[:, :3], straight[:, 3:], views[live])
+        values[live] += transmittance[live, None] * sample[:, :-1]
+        depth[live] += transmittance[live] * sample[:, -1] * t[live] * scene.voxel_size
+        transmittance[live] *= 1 - sample[:, -1]
         k += 1
 
 
-def fill(values: np.ndarray, through: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Equation 9: times min(1, 1.5 alpha) / alpha, where there is any."""
-    factor = np.array([min(1, 1.5 * alpha) / alpha if alpha > 0 else 0.0 for alpha in 1 - through])
-    return values * factor[:, None], 1 - factor * (1 - through), depth * factor
+def correct_opacity(values: np.ndarray, transmittance: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Opacity correction (eq. 9): values, opacity and depth times min(1, 1.5 alpha) / alpha, where alpha is not 0."""
+    factor = np.array([min(1, 1.5 * alpha) / alpha if alpha > 0 else 0.0 for alpha in 1 - transmittance])
+    return values * factor[:, None], 1 - factor * (1 - transmittance), depth * factor
 
 
 def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays begin in NDC and their unit directions there, by the formulas of NeRF's appendix C; a miss begins far outside."""
+    """Origins and unit directions [N, 3] of rays in NDC (NeRF, appendix C); rays that miss the frame start far outside the grid."""
     axes, position = ndc.camera_to_world[:3, :3], ndc.camera_to_world[:3, 3]
     origin, (dx, dy, dz) = (origins - position) @ axes, (directions @ axes).T
     seen = dz < -1e-6
@@ -107,7 +108,7 @@ def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: flo
 
 
 def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray, near: float) -> np.ndarray:
-    """World distance [N] of places at a distance [N] along the rays' images in NDC."""
+    """World distance [N] of the points at a distance [N] along the rays in NDC."""
     start, along = device_rays(ndc, origins, directions, near)
     x, y, z = (start + distance[:, None] * along).T
     depth = -2 * ndc.near / (z - 1)
@@ -115,25 +116,25 @@ def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance:
     return np.linalg.norm(local @ ndc.camera_to_world[:3, :3].T + ndc.camera_to_world[:3, 3] - origins, axis=-1)
 
 
-def trilinear(snerg: Scene, points: np.ndarray) -> np.ndarray:
-    """[N, 3] voxel coordinates inside the grid to [N, C] in [0, 1]; nothing in blocks without a cell."""
-    block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(snerg.indirection.shape) - 1)
-    cell = snerg.indirection[tuple(block.T)]
-    result = np.zeros((len(points), snerg.cells.shape[-1]))
+def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """Interpolate at points [N, 3], in voxels inside the grid: [N, C] in [0, 1]; 0 in blocks without a cell."""
+    block = np.clip(np.floor(points / DATA_VOXELS).astype(int), 0, np.array(scene.indirection.shape) - 1)
+    cell = scene.indirection[tuple(block.T)]
+    result = np.zeros((len(points), scene.cells.shape[-1]))
     full = np.flatnonzero(cell >= 0)
     local = points[full] - DATA_VOXELS * block[full] + 0.5
     base = np.clip(np.floor(local).astype(int), 0, CELL_VOXELS - 2)
     fraction = local - base
-    for offset in np.ndindex(2, 2, 2):
-        weight = np.where(np.array(offset) > 0, fraction, 1 - fraction).prod(axis=-1)
-        x, y, z = (base + np.array(offset)).T
-        result[full] += weight[:, None] * snerg.cells[cell[full], x, y, z] / (255 if snerg.cells.dtype == np.uint8 else 1)
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.where(np.array(corner) > 0, fraction, 1 - fraction).prod(axis=-1)
+        x, y, z = (base + np.array(corner)).T
+        result[full] += weight[:, None] * scene.cells[cell[full], x, y, z] / (255 if scene.cells.dtype == np.uint8 else 1)
     return result
 
 
-def residual(snerg: Scene, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Equation 7, written out in float64."""
-    network = [np.asarray(a, np.float64) for a in snerg.network or ()]
+def residual(scene: Scene, colour: np.ndarray, features: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The view-dependent residual (eq. 7) in float64, [N, 3]."""
+    network = [np.asarray(a, np.float64) for a in scene.network or ()]
     waves = [f(2.0**k * directions) for f in (np.sin, np.cos) for k in range(4)]
     x = np.concatenate([directions, *waves, colour, features], axis=-1)
     x = np.maximum(x @ network[0] + network[1], 0)

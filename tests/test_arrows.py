@@ -24,6 +24,7 @@ ROOMS = (
     "study",
     "commands",
     "api",
+    "terminal",
     "cli",
     "start",
 )

@@ -70,11 +70,22 @@ def test_rows_of_the_grid_that_there_are_not(tmp_path):
 
 
 def test_a_straight_line_is_found_and_drawn(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
     monkeypatch.syspath_prepend(ROOT / "bench")
     plot = importlib.import_module("plot")
     panel = plot.Panel("a line", "x", [(x, 2 * x + 1) for x in (1, 2, 5)])
     assert panel.line() == pytest.approx((2, 1, 1))
-    assert plot.ticks(0.53) == pytest.approx([0, 0.2, 0.4]) and plot.label(2.5e6) == "2.5M"
     plot.save_plot(tmp_path / "plot.png", [panel, panel])
     with Image.open(tmp_path / "plot.png") as image:
         assert image.size == (4 * plot.WIDTH, 2 * plot.HEIGHT)
+
+
+@pytest.mark.slow
+def test_estimates_are_compared_and_coefficients_fitted(dataset, tmp_path):
+    pytest.importorskip("jax")
+    train_field(dataset, tmp_path / "field", steps=40, values={"view_dependence": "deferred"})
+    result = run(tmp_path / "field", "--configurations", "32x1,64x2,64x0", "--out", tmp_path / "out", bench="estimate")
+    assert result.returncode == 0, result.stderr
+    assert "| field | voxels | samples |" in result.stdout and "| `preview_factor` | 0.85 |" in result.stdout
+    value = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    assert len(value["rows"]) == 3 and value["fitted_to"]["preview_factor"] == 3 and value["coefficients"]["ray_overhead"] == 6

@@ -24,9 +24,10 @@ OUT = ROOT / "build" / "extension"
 CODE = ("core", "operators", "snerg_addon", "viewer")
 FILES = ("__init__.py", "py.typed", "launcher.py", "LICENSE", "README.md", "CHANGELOG.md")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "node_modules", ".*", "*.egg-info", "*.pyc")
-TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "pillow", "msgpack")  # Blender brings NumPy
+TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "optax", "absl-py", "pillow", "msgpack")  # Blender brings NumPy
 PLOTS = ("matplotlib", "contourpy", "cycler", "fonttools", "kiwisolver", "packaging", "pyparsing", "python-dateutil", "tzdata")
-WHEELS = (*TRAINING, *PLOTS)
+REPORT = ("jinja2", "markupsafe")
+WHEELS = (*TRAINING, *PLOTS, *REPORT)
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""A field to a baked scene."""
+"""From a trained field to a baked scene."""

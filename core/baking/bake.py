@@ -1,10 +1,9 @@
-"""Baking a field into a SNeRG (section 5.3) inside the artist's box: look, cull, fill (JAX, through the field)."""
+"""Bakes a field inside a box into a SNeRG (section 5.3): finds occupied voxels, culls invisible ones, fills the atlas. Uses JAX."""
 
 from __future__ import annotations
 
 import hashlib
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,55 +18,68 @@ from ..io.files import json_bytes
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
-from ..scene.blocks import counts, grow, number, reach, renumbered
+from ..scene.blocks import count_voxels, dilate, number_blocks, reindex_blocks, touched_blocks
 from ..scene.scene import Scene
-from ..scene.voxel_grid import FINEST, VoxelGrid
-from .memory import check_fits
+from ..scene.voxel_grid import MAX_RESOLUTION, VoxelGrid
+from .memory import check_memory
 from .occupied_voxels import find_occupied_voxels
-from .opacity_correction import hole_errors
-from .prefilter import fill
+from .opacity_correction import opacity_correction_errors
+from .prefilter import fill_atlas
 from .resume import ResumeCache
-from .supersampling import choose_samples
-from .visibility import visible_voxels
+from .supersampling import choose_supersampling
+from .timing import StageTimer, TimeLeft
+from .visibility import VisibilityStatistics, visible_voxels
 
-AUTO = 0  # samples: as many as are worth their time
-LOOKED_UP = 2  # bytes a voxel, while the tables of a march are made
-VERSION = 2  # of bakes: another where the same settings keep or give something else
+AUTO_SUPERSAMPLING = 0  # BakeSettings.supersampling: measured, see supersampling.py
+MAX_SETTING_SUPERSAMPLING = 64  # points a voxel that may be asked for: bounds the time
+ACCELERATION_BYTES = 2  # bytes a voxel of the acceleration structure of the marcher
+BAKE_VERSION = 2  # part of the key of kept work; raised when the same settings bake something else
+# Settings whose names in files (scene.json, studies, kept work) are older than those here.
+FILE_NAMES = {"supersampling": "samples", "opacity_correction": "fill_holes"}
+SHARES = {"occupancy": 0.25, "visibility": 0.5, "prefilter": 0.98}  # of the progress, at the end of each stage
 
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """resolution: voxels along the box's longest side; voxel_size, in units of the scene, takes its place where given.
-    samples: points averaged in a voxel, Gaussian with a standard deviation of voxel / sqrt(12); 0: as many as measuring shows to be
-    worth their time. alpha_threshold: blocks along no row of which so much opacity adds up are culled; visibility_threshold:
-    voxels that no camera sees with at least this transmittance are culled (section 5.3). seed: of the jitter. opacity_correction:
-    see Scene; None: in forward-facing scenes, as in the paper (supplement C.3), whose rays come nearer to the field's with it.
+    """How a field is baked. Raises SnergError for values out of range."""
 
-    For comparison (table 1 of the paper): visibility False keeps what no camera sees; quantise False keeps float32;
-    network False leaves out view dependence and its features.
-    """
-
-    resolution: int = 512
-    samples: int = AUTO
-    alpha_threshold: float = 0.005
-    visibility_threshold: float = 0.01
-    seed: int = 0
+    resolution: int = 512  # voxels along the box's longest side
+    supersampling: int = AUTO_SUPERSAMPLING  # points averaged in a voxel, 1 to 64; 0: measured (see supersampling.py)
+    alpha_threshold: float = 0.005  # least opacity that must add up along some row of a block, or the block is culled (tau_alpha)
+    visibility_threshold: float = 0.01  # voxels that no camera sees with at least this transmittance are culled (tau_vis, section 5.3)
+    seed: int = 0  # of the jitter and of the measurements
+    # Whether composited rays are corrected by eq. 9 (see Scene). None: in forward-facing scenes, as in the paper (supplement C.3), if
+    # rays of the cameras are closer to the field's with it.
     opacity_correction: bool | None = None
-    voxel_size: float | None = None
-    visibility: bool = True
-    quantise: bool = True
-    network: bool = True
+    voxel_size: float | None = None  # side of a voxel, scene units; replaces the resolution
+    # For the ablations of table 1.
+    visibility: bool = True  # False: keep voxels that no camera sees
+    quantise: bool = True  # False: float32 cells
+    network: bool = True  # False: a diffuse scene, without view dependence and features
 
     def __post_init__(self) -> None:
-        if self.resolution < 2 or self.resolution > FINEST:
-            raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {FINEST}.")
-        if not 0 <= self.samples <= 64:
-            raise SnergError(f"{self.samples} samples a voxel cannot be averaged; choose 1 to 64, or 0 to have the number measured.")
+        if self.resolution < 2 or self.resolution > MAX_RESOLUTION:
+            raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {MAX_RESOLUTION}.")
+        if not 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING:
+            raise SnergError(
+                f"{self.supersampling} samples a voxel cannot be averaged; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
+                "or 0 to have the number measured."
+            )
         if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
             raise SnergError(f"Voxels of size {self.voxel_size} cannot be baked; choose a size above 0, in units of the scene.")
         for name in ("alpha_threshold", "visibility_threshold"):
             if not 0 < getattr(self, name) < 1:
                 raise SnergError(f"The {name.replace('_', ' ')} is {getattr(self, name)}; choose one between 0 and 1.")
+
+    def to_json(self) -> dict[str, Any]:
+        """The settings by the names that files have for them (FILE_NAMES)."""
+        return {FILE_NAMES.get(name, name): value for name, value in asdict(self).items()}
+
+    @classmethod
+    def from_json(cls, value: dict[str, Any]) -> BakeSettings:
+        """Undo `to_json`. Raises TypeError for a name that is no setting, SnergError for values out of range."""
+        names = {old: new for new, old in FILE_NAMES.items()}
+        return cls(**{names.get(name, name): setting for name, setting in value.items()})
 
 
 def bake(
@@ -78,91 +90,155 @@ def bake(
     progress: Progress = silent,
     resume: Path | None = None,
 ) -> Scene:
-    """Evaluate a field inside a box of its space (see Field.ndc) into a sparse grid.
+    """Bake a field inside a box of its space (see Field.ndc) into a sparse grid.
 
-    cameras: those that decide what is visible; none keeps everything. resume: a folder that holds what is finished, so that the
-    same bake goes on there after a kill; remove it with files.discard once the scene is safe. Memory beside the finished atlas is
-    bounded, whatever the resolution.
+    cameras: voxels that none of them sees are culled; without cameras all occupied voxels are kept. resume: a folder for finished parts,
+    from which the same bake goes on after it was killed; remove it with files.discard once the scene is written. Beside the finished atlas
+    the memory does not grow with the resolution.
 
-    Raises SnergError for a field whose values are not finite, or that depends on the direction in each sample, which a grid
-    cannot hold, and for a resolution that does not fit in memory; Cancelled when `progress` does. An empty result is a valid
-    scene; `about` says so.
+    An empty box gives a valid, empty scene with a warning in `about`. Raises SnergError for a field whose values are not finite, for one
+    that depends on the view direction at each sample, which a grid cannot store, and for a resolution that does not fit in memory;
+    Cancelled when `progress` does.
     """
     check_field(field)
     voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
-    channels = 8 if settings.network and field.network is not None else 4
-    looks = LOOKED_UP if field.ndc is not None and settings.opacity_correction is None else 0
-    check_fits(field, box, voxel_grid, channels * (1 if settings.quantise else 4) + looks)
-    kept = ResumeCache(resume, key_of(field, box, cameras, settings) if resume is not None else "")
-    tell, clock = TimeLeft(progress), _Clock()
+    check_memory(field, box, voxel_grid, voxel_bytes(field, settings))
+    cache = ResumeCache(resume, resume_key(field, box, cameras, settings) if resume is not None else "")
+    tell, timer = TimeLeft(progress), StageTimer()
+    culled = _cull(field, voxel_grid, cameras, settings, cache, tell, timer)
+    supersampling, evidence = settings.supersampling, None
+    if supersampling == AUTO_SUPERSAMPLING:
+        supersampling, evidence = choose_supersampling(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
+    cells, indirection = _fill(field, voxel_grid, culled, supersampling, settings, cache, tell)
+    timer.lap("prefilter")
+    about = _about(settings, timer, culled, supersampling, evidence, indirection)
+    network = field.network if channels_of(field, settings) == 8 else None
+    grid = (voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape)
+    scene = Scene(*grid, indirection, cells, network, about={"bake": about}, ndc=field.ndc)
+    scene = decide_opacity_correction(scene, field, cameras, settings, tell)
+    timer.lap("holes")
+    tell(1.0, "Baking")
+    return scene
 
-    matter = find_occupied_voxels(field, voxel_grid, settings.alpha_threshold, kept, lambda f: tell(0.25 * f, "Looking where something is"))
-    clock.lap("occupancy")
-    indirection = number(reach(matter.bits, matter.indirection))
-    bits = grow(renumbered(matter.bits, matter.indirection, indirection), indirection)
-    voxels: dict[str, int | None] = {"held": int(counts(bits).sum()), "seen": None}
-    light = None
-    if cameras and settings.visibility and len(bits):
-        seen, light = visible_voxels(matter, voxel_grid, field.ndc, cameras, settings.visibility_threshold, kept, within(tell, 0.25, 0.5))
-        bits &= renumbered(seen, matter.indirection, indirection)
-        voxels["seen"] = int(counts(bits).sum())
-    clock.lap("visibility")
-    samples, evidence = settings.samples, None
-    if samples == AUTO:
-        samples, evidence = choose_samples(field, voxel_grid, bits, indirection, settings.seed)
-    cells, indirection = fill(
-        field,
-        voxel_grid,
-        bits,
-        indirection,
-        channels,
-        samples,
-        settings.seed,
-        settings.quantise,
-        kept,
-        lambda f: tell(0.5 + 0.48 * f, "Baking colour and opacity"),
-    )
-    clock.lap("prefilter")
+
+def channels_of(field: Field, settings: BakeSettings) -> int:
+    """Channels of the scene's cells: 8, or 4 in a diffuse scene (see Scene.cells)."""
+    return 8 if settings.network and field.network is not None else 4
+
+
+def voxel_bytes(field: Field, settings: BakeSettings) -> int:
+    """Bytes that a voxel takes at the peak of a bake: its values, and the acceleration structure where the scene is marched."""
+    marched = field.ndc is not None and settings.opacity_correction is None
+    return channels_of(field, settings) * (1 if settings.quantise else 4) + (ACCELERATION_BYTES if marched else 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Culled:
+    """The voxels to bake, and what culling measured."""
+
+    mask: NDArray[Any]  # uint32 [M, 30, 30], voxels to bake
+    indirection: NDArray[Any]  # int32 [bx, by, bz], number of each block of the mask, or -1
+    opacity_lost: float  # see OccupiedVoxels
+    occupied: int  # voxels that are occupied or neighbours of occupied ones
+    visible: int | None  # those of them that are visible; None where visibility is not tested
+    statistics: VisibilityStatistics | None
+
+
+def _cull(
+    field: Field,
+    voxel_grid: VoxelGrid,
+    cameras: Sequence[Camera],
+    settings: BakeSettings,
+    cache: ResumeCache,
+    tell: Progress,
+    timer: StageTimer,
+) -> _Culled:
+    """The voxels of a grid that are occupied or neighbours of occupied ones, and visible."""
+    end = SHARES["occupancy"]
+    occupied = find_occupied_voxels(field, voxel_grid, settings.alpha_threshold, cache, lambda f: tell(end * f, "Finding occupied voxels"))
+    timer.lap("occupancy")
+    indirection = number_blocks(touched_blocks(occupied.mask, occupied.indirection))
+    mask = dilate(reindex_blocks(occupied.mask, occupied.indirection, indirection), indirection)
+    count, visible, statistics = int(count_voxels(mask).sum()), None, None
+    if cameras and settings.visibility and len(mask):
+        threshold, shown = settings.visibility_threshold, within(tell, end, SHARES["visibility"])
+        seen, statistics = visible_voxels(occupied, voxel_grid, field.ndc, cameras, threshold, cache, shown)
+        mask &= reindex_blocks(seen, occupied.indirection, indirection)
+        visible = int(count_voxels(mask).sum())
+    timer.lap("visibility")
+    return _Culled(mask, indirection, occupied.opacity_lost, count, visible, statistics)
+
+
+def _fill(
+    field: Field,
+    voxel_grid: VoxelGrid,
+    culled: _Culled,
+    supersampling: int,
+    settings: BakeSettings,
+    cache: ResumeCache,
+    tell: Progress,
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """`fill_atlas` of the voxels that culling left."""
+    begin, end = SHARES["visibility"], SHARES["prefilter"]
+    channels, seed, quantised = channels_of(field, settings), settings.seed, settings.quantise
+
+    def tell_fraction(fraction: float) -> None:
+        tell(begin + (end - begin) * fraction, "Baking colour and opacity")
+
+    return fill_atlas(field, voxel_grid, culled.mask, culled.indirection, channels, supersampling, seed, quantised, cache, tell_fraction)
+
+
+def _about(
+    settings: BakeSettings,
+    timer: StageTimer,
+    culled: _Culled,
+    supersampling: int,
+    evidence: list[dict[str, Any]] | None,
+    indirection: NDArray[Any],
+) -> dict[str, Any]:
+    """Scene.about["bake"]: settings and measurements, JSON values. "seconds" is filled on by the timer."""
+    blocks = int(indirection.max(initial=-1)) + 1
     about: dict[str, Any] = {
-        "settings": asdict(settings),
-        "seconds": clock.laps,
-        "blocks": len(cells),
+        "settings": settings.to_json(),
+        "seconds": timer.laps,
+        "blocks": blocks,
         "blocks_in_all": indirection.size,
-        "voxels": voxels,
-        "samples": samples,
-        "opacity_lost_at_most": round(matter.lost, 4),
+        "voxels": {"held": culled.occupied, "seen": culled.visible},
+        "samples": supersampling,
+        "opacity_lost_at_most": round(culled.opacity_lost, 4),
     }
-    if light is not None:
-        about["light"] = light.to_json()
+    if culled.statistics is not None:
+        about["light"] = culled.statistics.to_json()
     if evidence is not None:
         about["samples_measured"] = evidence
-    if not len(cells):
+    if not blocks:
         about["warning"] = "The box holds nothing; move it over the object, or train longer."
-    network = field.network if channels == 8 else None
-    snerg = Scene(
-        voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, network, about={"bake": about}, ndc=field.ndc
-    )
-    snerg = with_equation_9(snerg, field, cameras, settings, lambda f: tell(0.98 + 0.02 * f, "Looking for holes"))
-    clock.lap("holes")
-    tell(1.0, "Baking")
-    return snerg
+    return about
 
 
-def with_equation_9(snerg: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Callable[[float], None]) -> Scene:
-    """The scene with equation 9 where the settings say so, or, in a forward-facing one, where its rays come nearer to the field's with it
-    (or there are none)."""
-    fills = settings.opacity_correction
-    if fills is None and snerg.ndc is not None and cameras and len(snerg.cells):
-        errors = hole_errors(field, snerg, cameras, settings.seed, tell)
-        snerg.about["bake"]["holes"] = errors
-        fills = errors["with"] < errors["without"]
-    if fills is None:
-        fills = snerg.ndc is not None
-    return replace(snerg, opacity_correction=True) if fills else snerg
+def decide_opacity_correction(scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Progress) -> Scene:
+    """The scene with opacity correction (eq. 9) if the settings ask for it.
+
+    If they leave it open (None), only a forward-facing scene gets it: when its camera rays are closer to the field's with it, or when it
+    has no cameras. Errors of the comparison go to scene.about["bake"]["holes"].
+    """
+    begin = SHARES["prefilter"]
+
+    def tell_fraction(fraction: float) -> None:
+        tell(begin + (1 - begin) * fraction, "Measuring the opacity correction")
+
+    correct = settings.opacity_correction
+    if correct is None and scene.ndc is not None and cameras and len(scene.cells):
+        errors = opacity_correction_errors(field, scene, cameras, settings.seed, tell_fraction)
+        scene.about["bake"]["holes"] = errors
+        correct = errors["with"] < errors["without"]
+    if correct is None:
+        correct = scene.ndc is not None
+    return replace(scene, opacity_correction=True) if correct else scene
 
 
-def check_lengths(settings: BakeSettings, field: Field) -> None:
-    """Raises SnergError when voxels are to have a size in a space where no length is one of the scene's."""
+def check_voxel_size(settings: BakeSettings, field: Field) -> None:
+    """Raise SnergError when a voxel size is given for a field in normalised device coordinates, whose lengths are not the scene's."""
     if settings.voxel_size is not None and field.ndc is not None:
         raise SnergError("The field lies in device coordinates, in which a length is not one of the scene; choose a resolution instead.")
 
@@ -174,23 +250,23 @@ def check_field(field: Field) -> None:
             f"The field's view dependence is of the kind {field.view!r}, sample by sample, which no grid can hold; "
             "train it with view dependence 'deferred' or 'diffuse' to bake it."
         )
-    for name, array in arrays_of(field).items():
+    for name, array in learnt_arrays(field).items():
         if not np.isfinite(array).all():
             raise SnergError(f"The field's {name} holds values that are not finite; train it again, or import an undamaged checkpoint.")
 
 
-def arrays_of(field: Field) -> dict[str, NDArray[Any]]:
-    """Everything that a field has learnt, by name."""
+def learnt_arrays(field: Field) -> dict[str, NDArray[Any]]:
+    """All trained weights of a field by name; arrays of any shape."""
     network = {} if field.network is None else {f"view.{name}": np.asarray(array) for name, array in field.network._asdict().items()}
     return flatten(field.params) | network
 
 
-def key_of(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSettings) -> str:
-    """A name for a bake: another for another field, box, cameras or settings."""
+def resume_key(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSettings) -> str:
+    """The key of a bake's kept work: a hash of the field, the box, the cameras and the settings, 16 hexadecimal digits."""
     domain = field.domain
     plain = {
-        "version": VERSION,
-        "settings": asdict(settings),
+        "version": BAKE_VERSION,
+        "settings": settings.to_json(),
         "box": box.to_json(),
         "cameras": [camera.to_json() for camera in cameras],
         "family": repr(field.family),
@@ -199,41 +275,10 @@ def key_of(field: Field, box: Box, cameras: Sequence[Camera], settings: BakeSett
         "scale": domain.scale,
     }
     digest = hashlib.sha256(json_bytes(plain))
-    arrays = arrays_of(field) | {"centre": domain.centre, "low": domain.low, "high": domain.high}
+    arrays = learnt_arrays(field) | {"centre": domain.centre, "low": domain.low, "high": domain.high}
     if field.occupancy is not None:
         arrays["occupancy"] = field.occupancy
     for name, array in arrays.items():
         digest.update(f"{name} {array.shape} {array.dtype}".encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()[:16]
-
-
-class TimeLeft:
-    """Progress that says how long the rest will take, as soon as it can tell."""
-
-    def __init__(self, progress: Progress) -> None:
-        self.progress = progress
-        self.first: tuple[float, float] | None = None
-
-    def __call__(self, fraction: float, what: str) -> None:
-        now = time.monotonic()
-        if self.first is None:
-            self.first = now, fraction
-        gone, done = now - self.first[0], fraction - self.first[1]
-        if gone > 2 and done > 0.02:
-            left = gone * (1 - fraction) / done
-            what += f", {left:.0f} s left" if left < 100 else f", {left / 60:.0f} min left"
-        self.progress(fraction, what)
-
-
-class _Clock:
-    """Seconds of each stage."""
-
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self.last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name] = round(now - self.last, 3)
-        self.last = now

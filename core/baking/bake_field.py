@@ -1,4 +1,4 @@
-"""Baking a field and fine-tuning the network of the scene on the training images (JAX)."""
+"""Bakes a field, then fine-tunes the scene's network on the training images. Uses JAX."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ def bake_field(
     progress: Progress = silent,
     resume: Path | None = None,
 ) -> tuple[Scene, dict[str, float]]:
-    """Bake, and refine where there is a dataset; returns the scene and the seconds that each took (JAX).
+    """Bake a field inside a box, and fine-tune the scene's network if there is a dataset.
 
-    resume: see grid.bake.bake.
+    resume: see `bake`. Returns the scene and the seconds of each stage, {"bake"} or {"bake", "refine"}. Raises SnergError without JAX.
     """
     with needs_jax():
         from .bake import bake
         from .fine_tune import RefineSettings, refine
     began = time.perf_counter()
     share = 0.97 if dataset is None else 0.7
-    snerg = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
+    scene = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
     known = trained(field.about)
     decided = {"decisions": field.about.get("decisions", [])}
-    snerg = replace(snerg, about={**snerg.about, "trained": known | decided})
+    scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
         began = time.perf_counter()
-        snerg, _ = refine(snerg, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
+        scene, _ = refine(scene, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
         seconds["refine"] = time.perf_counter() - began
-    return snerg, {name: round(value, 2) for name, value in seconds.items()}
+    return scene, {name: round(value, 2) for name, value in seconds.items()}

@@ -1,8 +1,9 @@
-"""Fine-tuning the view-dependence network on the baked, quantised scene (section 5.5), in JAX."""
+"""Fine-tunes the view-dependence network on the baked, quantised scene (section 5.5). Uses JAX."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
@@ -21,155 +23,174 @@ from ..progress import Progress, silent, within
 from ..rendering.render import TILE, MarchSettings, march_rays
 from ..scene.scene import Scene
 
-TENTH = 10  # every tenth view is judged by
+VALIDATION_EVERY = 10  # one view of so many is kept out for validation
+MIN_PIXELS = 16  # fewer cannot be fitted to
+MIN_IMPROVEMENT = 0.0005  # share by which an epoch must reduce the validation error to count as a gain
+MARCH_SHARE = 0.6  # of the progress that marching the training views gets
+FINAL_RATE = 0.1  # learning rate at the end, as a share of that at the start
 
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """pixels: gathered over all training views; four times as many gain 0.02 dB more and take three times as long. batch: a step.
-    rate: of Adam, falling to a tenth by cosine (the paper's 3e-4 is for 100 epochs; here a larger one for fewer). epochs: at most.
-    patience: epochs without a gain after which it stops. seed: of the pixels and their order. background: RGB in [0, 1] that the
-    field was trained over: behind the images' alpha, and behind what lets light through.
-    """
+    """How the network is fine-tuned."""
 
-    pixels: int = 250_000
-    batch: int = 8192
-    rate: float = 2e-3
-    epochs: int = 24
-    patience: int = 4
-    seed: int = 0
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    pixels: int = 250_000  # of all training views; four times as many gain 0.02 dB more and take three times as long
+    batch: int = 8192  # pixels a step
+    rate: float = 2e-3  # of Adam at the start, with cosine decay; the paper has 3e-4 for 100 epochs, fewer epochs want a larger one
+    epochs: int = 24  # at most
+    patience: int = 4  # epochs without a gain after which it stops
+    seed: int = 0  # of the choice of pixels and their order
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which the field was trained
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """Pixels of the training views as the baked scene composites them: what the network sees, and what it should add up to.
+class TrainingPixels:
+    """Pixels of the training views: the network's inputs, as the baked scene gives them, and the colour that should come out.
 
-    colour: over white [N, 3]; features [N, 4]; directions [N, 3] in the network's axes; wanted: over white [N, 3]. held: how many of
-    them, the first, are not fitted to but judged by: whole views, because a network may learn by heart what the others show.
+    The first `validation` pixels are kept out of fitting and measure it. They are those of whole views where possible, because a network
+    may overfit to what other views show.
     """
 
-    colour: NDArray[Any]
-    features: NDArray[Any]
-    directions: NDArray[Any]
-    wanted: NDArray[Any]
-    held: int
+    colour: NDArray[Any]  # [N, 3] composited colour over white
+    features: NDArray[Any]  # [N, 4] composited features
+    view_directions: NDArray[Any]  # [N, 3] unit, in the network's axes
+    target: NDArray[Any]  # [N, 3] the image's colour over white
+    validation: int
 
 
 def refine(
-    snerg: Scene,
+    scene: Scene,
     dataset: Dataset,
     settings: RefineSettings = RefineSettings(),
     progress: Progress = silent,
 ) -> tuple[Scene, dict[str, Any]]:
-    """A scene with a network that makes up for what baking and quantising changed, and a report of the gain.
+    """Fine-tune a scene's network to make up for the changes of baking and quantisation.
 
-    A tenth of the views is kept out to judge by (of a few views, a tenth of the pixels); the best network on those is what comes back,
-    the old one if none is better. A diffuse or empty scene comes back as it is. Raises SnergError when an image cannot be read, Cancelled
-    when `progress` does.
+    Returns the scene with the network that is best on the validation pixels (the old one if none is better), and a report: "psnr_before",
+    "psnr_after", "gain_db" on those pixels, "epochs", "settings" and "seconds". A diffuse or empty scene is returned as it is, with the
+    reason under "skipped". Raises SnergError when an image cannot be read, Cancelled when `progress` does.
     """
-    if snerg.network is None or not len(snerg.cells):
-        return snerg, {"skipped": "the scene is diffuse" if len(snerg.cells) else "the scene is empty"}
+    if scene.network is None or not len(scene.cells):
+        return scene, {"skipped": "the scene is diffuse" if len(scene.cells) else "the scene is empty"}
     began = time.perf_counter()
-    gathered = gather(snerg, dataset, settings, within(progress, 0, 0.6))
-    if len(gathered.colour) < 16:
-        return snerg, {"skipped": "no training view sees the scene"}
+    pixels = march_training_views(scene, dataset, settings, within(progress, 0, MARCH_SHARE))
+    if len(pixels.colour) < MIN_PIXELS:
+        return scene, {"skipped": "no training view sees the scene"}
     marched = time.perf_counter()
-    network, report = fit(snerg.network, gathered, settings, within(progress, 0.6, 1))
+    network, report = fit(scene.network, pixels, settings, within(progress, MARCH_SHARE, 1))
     report |= {
         "settings": asdict(settings),
         "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},
     }
-    return replace(snerg, network=network, about={**snerg.about, "refine": report}), report
+    return replace(scene, network=network, about={**scene.about, "refine": report}), report
 
 
-def gather(snerg: Scene, dataset: Dataset, settings: RefineSettings, progress: Progress) -> Gathered:
-    """March a random share of every view's pixels, and keep those where the network runs and the view's mask does not hide them.
-
-    The network is defined over white: another background adds to the image, over white, what white adds to the scene.
-    """
-    dark = 1 - np.array(settings.background, np.float32)
+def march_training_views(scene: Scene, dataset: Dataset, settings: RefineSettings, progress: Progress) -> TrainingPixels:
+    """March random pixels of every view, and keep those where the network runs and that the view's mask does not hide."""
     rng = np.random.default_rng(settings.seed)
     share = min(1.0, 2 * settings.pixels / sum(c.width * c.height for c in dataset.cameras))
-    parts = []
-    for i, camera in enumerate(dataset.cameras):
-        image, mask = dataset.read(i), dataset.mask(i)
+    views = []
+    for view, camera in enumerate(dataset.cameras):
         index = rng.choice(camera.width * camera.height, max(1, int(share * camera.width * camera.height)), replace=False)
-        row, column = np.divmod(index, camera.width)
-        # The marcher is quickest where rays that follow one another are close together.
-        order = np.lexsort((column, row, column // TILE, row // TILE))
-        row, column = row[order], column[order]
-        origins, directions = camera.rays(np.stack([column, row], axis=-1))
-        rays = march_rays(snerg, origins, directions, MarchSettings(), near=max(snerg.near, camera.near))
-        used = rays.transmittance <= NETWORK_TRANSMITTANCE
-        seen = np.flatnonzero(used if mask is None else used & mask[row, column])
-        colour = rays.colour[seen] + rays.transmittance[seen, None]
-        towards = (directions[seen] @ snerg.view_rotation.T).astype(np.float32)
-        pixels = image[row[seen], column[seen]]
-        clear = 1 - pixels[:, 3:].astype(np.float32) / 255 if pixels.shape[-1] == 4 else np.float32(0)
-        wanted = over(pixels) + dark * (rays.transmittance[seen, None] - clear)
-        parts.append((colour, rays.features[seen], towards, wanted))
-        progress((i + 1) / len(dataset.cameras), f"Marching training view {i + 1} of {len(dataset.cameras)}")
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        views.append(_march_view(scene, dataset, view, index, settings.background))
+        progress((view + 1) / len(dataset.cameras), f"Marching training view {view + 1} of {len(dataset.cameras)}")
+    columns = [np.concatenate(column) for column in zip(*views, strict=True)]
     order = rng.permutation(len(columns[0]))[: settings.pixels]
-    view = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])[order]
-    aside = view % TENTH == TENTH // 2
-    held = int(aside.sum()) if aside.any() else max(1, len(order) // TENTH)
-    order = order[np.argsort(~aside, kind="stable")]
-    colour, features, towards, wanted = (column[order] for column in columns)
-    return Gathered(colour, features, towards, wanted, held)
+    view_of = np.repeat(np.arange(len(views)), [len(columns[0]) for columns in views])[order]
+    kept_out = view_of % VALIDATION_EVERY == VALIDATION_EVERY // 2
+    validation = int(kept_out.sum()) if kept_out.any() else max(1, len(order) // VALIDATION_EVERY)
+    order = order[np.argsort(~kept_out, kind="stable")]
+    colour, features, view_directions, target = (column[order] for column in columns)
+    return TrainingPixels(colour, features, view_directions, target, validation)
 
 
-def fit(network: ViewNetwork, data: Gathered, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
-    """Adam on the squared error of the final colour; the best network on the pixels held out, and what it gained in dB."""
-    columns = data.colour, data.features, data.directions, data.wanted
-    test = tuple(jnp.asarray(a[: data.held]) for a in columns)
-    train = tuple(a[data.held :] for a in columns)
-    batch = min(settings.batch, len(train[0]))
-    steps = max(1, len(train[0]) // batch)
-    total = steps * settings.epochs
+def _march_view(
+    scene: Scene, dataset: Dataset, view: int, index: NDArray[Any], background: tuple[float, float, float]
+) -> tuple[NDArray[Any], ...]:
+    """Colour, features, view directions and targets (see TrainingPixels) of pixels [n] of a view that are used.
+
+    The network is defined over white. Over another background the target is the image plus what white would add to it:
+    (1 - background) times the scene's transmittance; an image with alpha is put over white itself.
+    """
+    camera, image, mask = dataset.cameras[view], dataset.read(view), dataset.mask(view)
+    row, column = np.divmod(index, camera.width)
+    order = np.lexsort((column, row, column // TILE, row // TILE))  # tile by tile: the marcher is fastest on coherent rays
+    row, column = row[order], column[order]
+    origins, directions = camera.rays(np.stack([column, row], axis=-1))
+    rays = march_rays(scene, origins, directions, MarchSettings(), near=max(scene.near, camera.near))
+    used = rays.transmittance <= NETWORK_TRANSMITTANCE
+    rows = np.flatnonzero(used if mask is None else used & mask[row, column])
+    transmittance = rays.transmittance[rows, None]
+    pixels = image[row[rows], column[rows]]
+    clear = 1 - pixels[:, 3:].astype(np.float32) / 255 if pixels.shape[-1] == 4 else np.float32(0)
+    target = over(pixels) + (1 - np.array(background, np.float32)) * (transmittance - clear)
+    view_directions = (directions[rows] @ scene.view_rotation.T).astype(np.float32)
+    return rays.colour[rows] + transmittance, rays.features[rows], view_directions, target
+
+
+def fit(network: ViewNetwork, pixels: TrainingPixels, settings: RefineSettings, progress: Progress) -> tuple[ViewNetwork, dict[str, Any]]:
+    """Fit the network to the pixels' targets: Adam on the squared error, with early stopping.
+
+    Returns the network that is best on the validation pixels, and "psnr_before", "psnr_after", "gain_db" on them and "epochs".
+    """
+    columns = pixels.colour, pixels.features, pixels.view_directions, pixels.target
+    validation = tuple(jnp.asarray(column[: pixels.validation]) for column in columns)
+    training = tuple(column[pixels.validation :] for column in columns)
     error = jax.jit(squared_error)
-    step = jax.jit(partial(adam_step, settings.rate, total))
-    params = ViewNetwork(*(jnp.asarray(a) for a in network))
-    moments = jax.tree.map(jnp.zeros_like, (params, params))
-    first = best = float(error(params, *test))
-    kept, since, epoch = params, 0, 0
-    rng = np.random.default_rng(settings.seed)
+    params = ViewNetwork(*(jnp.asarray(array) for array in network))
+    first = best = float(error(params, *validation))
+    best_params, without_gain, epoch = params, 0, 0
+    run_epoch = _epochs(params, training, settings)
     for epoch in range(1, settings.epochs + 1):
-        order = rng.permutation(len(train[0]))
-        for i in range(steps):
-            rows = order[i * batch : (i + 1) * batch]
-            params, moments = step(params, moments, jnp.float32((epoch - 1) * steps + i), tuple(a[rows] for a in train))
-        now = float(error(params, *test))
+        params = run_epoch()
+        now = float(error(params, *validation))
         if not np.isfinite(now):
             raise SnergError("Refining went wrong: the error is not finite; bake with --no-refine and check the dataset's images.")
-        since = 0 if now < best * 0.9995 else since + 1
+        without_gain = 0 if now < best * (1 - MIN_IMPROVEMENT) else without_gain + 1
         if now < best:
-            best, kept = now, params
-        progress(epoch / settings.epochs, f"Refining: {decibel(now):.2f} dB, was {decibel(first):.2f}")
-        if since >= settings.patience:
+            best, best_params = now, params
+        progress(epoch / settings.epochs, f"Refining: {psnr(now):.2f} dB, was {psnr(first):.2f}")
+        if without_gain >= settings.patience:
             break
-    report = {"psnr_before": decibel(first), "psnr_after": decibel(best), "gain_db": decibel(best) - decibel(first), "epochs": epoch}
-    return as_numpy(kept), report
+    report = {"psnr_before": psnr(first), "psnr_after": psnr(best), "gain_db": psnr(best) - psnr(first), "epochs": epoch}
+    return as_numpy(best_params), report
 
 
-def decibel(error: float) -> float:
-    """PSNR of a mean squared error, at most 100."""
+def _epochs(params: ViewNetwork, training: tuple[NDArray[Any], ...], settings: RefineSettings) -> Callable[[], ViewNetwork]:
+    """A function that runs one more epoch over the training pixels, in random order, and returns the parameters."""
+    batch = min(settings.batch, len(training[0]))
+    steps = max(1, len(training[0]) // batch)
+    adam = optax.adam(optax.cosine_decay_schedule(settings.rate, steps * settings.epochs, FINAL_RATE))
+    step, state, rng = jax.jit(partial(adam_step, adam)), adam.init(params), np.random.default_rng(settings.seed)
+
+    def run_epoch() -> ViewNetwork:
+        nonlocal params, state
+        order = rng.permutation(len(training[0]))
+        for i in range(steps):
+            rows = order[i * batch : (i + 1) * batch]
+            params, state = step(params, state, tuple(column[rows] for column in training))
+        return params
+
+    return run_epoch
+
+
+def psnr(error: float) -> float:
+    """Peak signal-to-noise ratio, dB, of a mean squared error of values in [0, 1]; at most 100."""
     return -10 * float(np.log10(max(error, 1e-10)))
 
 
-def squared_error(network: ViewNetwork, colour: Any, features: Any, directions: Any, wanted: Any) -> Any:
-    """Mean over pixels and channels."""
-    return ((colour + view_residual(jnp, network, colour, features, directions) - wanted) ** 2).mean()
+def squared_error(network: ViewNetwork, colour: Any, features: Any, view_directions: Any, target: Any) -> Any:
+    """Mean squared error, over pixels and channels, of composited colour plus residual (eq. 7). See TrainingPixels for the arguments."""
+    return ((colour + view_residual(jnp, network, colour, features, view_directions) - target) ** 2).mean()
 
 
-def adam_step(rate: float, total: int, params: Any, moments: Any, step: Any, data: tuple[Any, ...]) -> tuple[Any, Any]:
-    """One step of Adam at a rate that falls by cosine to a tenth. An input that the network never had a weight for stays without: the
-    frequencies of the direction that training left out (TrainSettings.view_degrees)."""
+def adam_step(adam: optax.GradientTransformation, params: ViewNetwork, state: Any, data: tuple[Any, ...]) -> tuple[ViewNetwork, Any]:
+    """One step of the optimiser on the squared error of some pixels; returns the parameters and the optimiser's state.
+
+    Rows of the first layer that are all 0 stay 0: frequencies of the view direction that training left out (TrainSettings.view_degrees).
+    """
     gradient = jax.grad(squared_error)(params, *data)
     gradient = gradient._replace(weights_0=gradient.weights_0 * (params.weights_0 != 0).any(axis=1, keepdims=True))
-    now = rate * (0.1 + 0.9 * 0.5 * (1 + jnp.cos(jnp.pi * step / total)))
-    m = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, moments[0], gradient)
-    v = jax.tree.map(lambda v, g: 0.999 * v + 0.001 * g * g, moments[1], gradient)
-    unbias = jnp.sqrt(1 - 0.999 ** (step + 1)) / (1 - 0.9 ** (step + 1))
-    return jax.tree.map(lambda p, m, v: p - now * unbias * m / (jnp.sqrt(v) + 1e-8), params, m, v), (m, v)
+    updates, state = adam.update(gradient, state)
+    updated: ViewNetwork = optax.apply_updates(params, updates)
+    return updated, state

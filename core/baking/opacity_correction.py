@@ -1,4 +1,4 @@
-"""Whether a scene calls for equation 9: measured on rays of its cameras, the field's own against what was baked."""
+"""Decides whether a scene needs the opacity correction (eq. 9), by comparing rays of the bake with rays of the field."""
 
 from __future__ import annotations
 
@@ -13,39 +13,43 @@ from ..geometry.ndc import space_rays
 from ..nerf.field import Field
 from ..nerf.frame import Composited, shade
 from ..nerf.render import through_space
-from ..rendering.packet_traversal import enter
-from ..rendering.render import filled, march_rays
+from ..rendering.opacity import correct_opacity
+from ..rendering.packet_traversal import intersect_grid
+from ..rendering.render import march_rays
 from ..scene.scene import Scene
 
-CAMERAS = 8  # looked from, spread over all
-RAYS = 128  # of each
+MAX_CAMERAS = 8  # cameras whose rays are compared, spread evenly over all
+RAYS_PER_CAMERA = 128  # random pixels of each
 
 
-def hole_errors(field: Field, snerg: Scene, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]) -> dict[str, float]:
-    """{"with": ..., "without": ...}: how far the rays of a scene that does without equation 9 are from the field's, with it and without it:
-    root mean square of colour and transmittance.
+def opacity_correction_errors(
+    field: Field, scene: Scene, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]
+) -> dict[str, float]:
+    """{"with": error, "without": error}: how far a scene's rays are from the field's, with and without opacity correction.
 
-    The equation makes up for light that a bake lets through surfaces (supplement C.3). Where the field itself is translucent, or was
-    trained to let its background shine through, it takes away what belongs there. tell: called with the fraction done.
+    The error is the root mean square over colour and transmittance of random camera rays. `scene` itself has no correction.
+    Baking lets some light through surfaces, which eq. 9 makes up for (supplement C.3). Where the field itself is translucent, or was
+    trained to show its background, the correction makes it too opaque. tell: called with the fraction done.
     """
     rng = np.random.default_rng(seed)
     values: dict[str, list[NDArray[Any]]] = {"field": [], "with": [], "without": []}
-    some = cameras[:: -(-len(cameras) // CAMERAS)]
-    for index, camera in enumerate(some):
-        tell(index / len(some))
-        origins, directions = camera.rays(rng.integers(0, (camera.width, camera.height), (RAYS, 2)))
-        near = max(snerg.near, camera.near)
-        baked = march_rays(snerg, origins, directions, near=near)
-        for name, rays in (("field", field_rays(field, snerg, origins, directions, near)), ("with", filled(baked)), ("without", baked)):
-            colour = shade(snerg.network, rays, directions @ snerg.view_rotation.T)
+    chosen = cameras[:: -(-len(cameras) // MAX_CAMERAS)]
+    for index, camera in enumerate(chosen):
+        tell(index / len(chosen))
+        origins, directions = camera.rays(rng.integers(0, (camera.width, camera.height), (RAYS_PER_CAMERA, 2)))
+        near = max(scene.near, camera.near)
+        baked = march_rays(scene, origins, directions, near=near)
+        rays_by_name = {"field": field_rays(field, scene, origins, directions, near), "with": correct_opacity(baked), "without": baked}
+        for name, rays in rays_by_name.items():
+            colour = shade(scene.network, rays, directions @ scene.view_rotation.T)
             values[name].append(np.concatenate([colour, rays.transmittance[:, None]], axis=-1))
     truth = np.concatenate(values.pop("field"))
     return {name: round(float(np.sqrt(np.mean((np.concatenate(parts) - truth) ** 2))), 5) for name, parts in values.items()}
 
 
-def field_rays(field: Field, snerg: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float) -> Composited:
-    """What rays of the world [N, 3] gather of a field inside a scene's grid."""
-    *_, start, stop = enter(snerg, origins, directions, near)
-    o, d, *_ = space_rays(snerg.ndc, origins, directions, near)
-    gathered, through = through_space(field, o, d, start * snerg.voxel_size, directions, stop * snerg.voxel_size)
-    return Composited(gathered[:, :3], gathered[:, 3:-1], through, gathered[:, -1])
+def field_rays(field: Field, scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float) -> Composited:
+    """The field composited along rays of the world (origins, directions [N, 3] float64), inside a scene's grid alone."""
+    *_, start, stop = intersect_grid(scene, origins, directions, near)
+    o, d, *_ = space_rays(scene.ndc, origins, directions, near)
+    values, transmittance = through_space(field, o, d, start * scene.voxel_size, directions, stop * scene.voxel_size)
+    return Composited(values[:, :3], values[:, 3:-1], transmittance, values[:, -1])

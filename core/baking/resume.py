@@ -1,4 +1,4 @@
-"""Long work in parts, which a few threads do: what is finished is kept in a folder, so that it outlives a kill."""
+"""Runs long work in parts on a few threads, and keeps finished parts in a folder so that a killed bake can go on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
+from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
 from typing import Any
 
@@ -19,32 +19,33 @@ from ..io.files import MARK, check_replaceable, discard, write_arrays, write_byt
 from ..io.guard import read_arrays, reading
 
 Arrays = dict[str, NDArray[Any]]
-THREADS = min(os.cpu_count() or 1, 4)  # NumPy in one while XLA runs in another; XLA has threads of its own
-MAX_BYTES = 2**33
-SAVE_EVERY = 5.0  # seconds of work that a kill may cost
-LOOK_EVERY = 0.2  # seconds between two looks whether to stop
+THREADS = min(os.cpu_count() or 1, 4)  # parts worked on at once: NumPy runs in one while XLA, which has threads of its own, runs in another
+MAX_BYTES = 2**33  # of a file that is read
+SAVE_SECONDS = 5.0  # seconds between two writes: the work that a kill can cost
+POLL_SECONDS = 0.2  # seconds between two calls of `tell` while a part is being waited for
 
 
 class ResumeCache:
-    """Results of parts of work by stage and number, of the work that `key` names; without a folder nothing is kept.
+    """Finished parts of some work, by stage and number, in a folder; with folder None nothing is kept.
 
-    Every file is whole or not there, and its name says whose it is, so that other work in the same folder is never taken for this.
+    key: names the work, and is part of each file's name; files of other work in the same folder are removed. Files are written whole or
+    not at all. Raises SnergError when the folder holds files that are not a bake's.
     """
 
     def __init__(self, folder: Path | None, key: str) -> None:
         self.folder, self.key = folder, key
-        self.new: Arrays = {}
-        self.stage, self.saved = "", time.monotonic()
+        self.unsaved: Arrays = {}
+        self.stage, self.saved_at = "", time.monotonic()
         if folder is not None and folder.is_dir():
             check_replaceable(folder)
             for path in folder.iterdir():
-                if path.is_dir():  # what a kill left half-written
+                if path.is_dir():  # a half-written file of a killed process
                     discard(path)
                 elif path.name != MARK and not path.name.startswith(key):
                     path.unlink(missing_ok=True)
 
     def read(self, stage: str) -> Iterator[tuple[int, Arrays]]:
-        """The parts of a stage that were finished before; a damaged file counts as none."""
+        """(number, arrays) of each kept part of a stage; damaged files are skipped."""
         if self.folder is None:
             return
         for path in sorted(self.folder.glob(f"{self.key}-{stage}-*.npz")):
@@ -59,79 +60,80 @@ class ResumeCache:
             yield from parts.items()
 
     def add(self, stage: str, part: int, arrays: Arrays) -> None:
-        """Keep a part; it is on the disk a few seconds later, or when the stage ends."""
+        """Keep a part. It is written within SAVE_SECONDS, or when `flush` is called."""
         if self.folder is None:
             return
         self.stage = stage
-        self.new |= {f"{part}.{name}": array for name, array in arrays.items()}
+        self.unsaved |= {f"{part}.{name}": array for name, array in arrays.items()}
         if self.due:
             self.flush()
 
     @property
     def due(self) -> bool:
-        """Whether it is time to write."""
-        return self.folder is not None and time.monotonic() - self.saved > SAVE_EVERY
+        """Whether the last write is SAVE_SECONDS ago."""
+        return self.folder is not None and time.monotonic() - self.saved_at > SAVE_SECONDS
 
     def flush(self) -> None:
-        """Write what is not on the disk yet. Raises SnergError when it cannot."""
-        if self.folder is not None and self.new:
-            first = int(next(iter(self.new)).partition(".")[0])
+        """Write all parts that are not on the disk yet. Raises SnergError when that fails."""
+        if self.folder is not None and self.unsaved:
+            first = int(next(iter(self.unsaved)).partition(".")[0])
             if not (self.folder / MARK).exists():
                 write_bytes(self.folder / MARK, b"A bake that is under way; it goes on here when it is started again.\n")
-            write_arrays(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", self.new)
-        self.new, self.saved = {}, time.monotonic()
+            write_arrays(self.folder / f"{self.key}-{self.stage}-{first:06d}.npz", self.unsaved)
+        self.unsaved, self.saved_at = {}, time.monotonic()
 
 
-def are(arrays: Arrays, wanted: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
-    """Whether arrays have just these names, shapes and kinds of values, as what is kept of a part must."""
-    return arrays.keys() == wanted.keys() and all(
-        arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in wanted.items()
+def arrays_match(arrays: Arrays, expected: Mapping[str, tuple[tuple[int, ...], type]]) -> bool:
+    """Whether arrays have exactly the names, shapes and kinds of element of `expected`: {name: (shape, NumPy type or its parent)}."""
+    return arrays.keys() == expected.keys() and all(
+        arrays[name].shape == shape and np.issubdtype(arrays[name].dtype, kind) for name, (shape, kind) in expected.items()
     )
 
 
-def each(
+def run_parts(
     stage: str,
     count: int,
     work: Callable[[int], Arrays],
-    kept: ResumeCache,
+    cache: ResumeCache,
     tell: Callable[[float], None],
-    fits: Callable[[int, Arrays], bool] = lambda part, arrays: True,
+    is_valid: Callable[[int, Arrays], bool] = lambda part, arrays: True,
 ) -> Iterator[tuple[int, Arrays]]:
-    """(number, `work(number)`) of every part of a stage, those that are kept first, the others from a few threads.
+    """Yield (number, work(number)) for the parts 0 to count - 1 of a stage: kept ones first, then the others as a few threads finish them.
 
-    fits: whether what is kept of a part can be it; it is done again where not.
-    tell: called with the fraction done several times a second; what it raises stops the work, and finished parts are kept.
+    is_valid: whether kept arrays can be those of the part; if not, it is computed again. tell: called with the finished fraction several
+    times a second; an exception of it stops the work and is raised, and finished parts stay kept.
     """
     done = set()
-    for part, arrays in kept.read(stage):
-        if 0 <= part < count and part not in done and fits(part, arrays):
+    for part, arrays in cache.read(stage):
+        if 0 <= part < count and part not in done and is_valid(part, arrays):
             done.add(part)
             yield part, arrays
     pool = ThreadPoolExecutor(THREADS)
-    ahead: deque[tuple[int, Future[Arrays]]] = deque()
+    pending: deque[tuple[int, Future[Arrays]]] = deque()
     todo = iter([part for part in range(count) if part not in done])
     try:
         while True:
-            while len(ahead) < 2 * THREADS and (part := next(todo, -1)) >= 0:
-                ahead.append((part, pool.submit(work, part)))
-            if not ahead:
+            while len(pending) < 2 * THREADS and (part := next(todo, -1)) >= 0:
+                pending.append((part, pool.submit(work, part)))
+            if not pending:
                 break
-            part, future = ahead.popleft()
+            part, future = pending.popleft()
             arrays = _wait(future, lambda: tell(len(done) / count))
             done.add(part)
-            kept.add(stage, part, arrays)
+            cache.add(stage, part, arrays)
             yield part, arrays
             tell(len(done) / count)
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
-        kept.flush()
+        cache.flush()
 
 
-def _wait(future: Future[Arrays], look: Callable[[], None]) -> Arrays:
+def _wait(future: Future[Arrays], poll: Callable[[], None]) -> Arrays:
+    """The future's result; calls `poll` every POLL_SECONDS until then."""
     while True:
         try:
-            return future.result(LOOK_EVERY)
-        except NotYet:
+            return future.result(POLL_SECONDS)
+        except FutureTimeout:
             if future.done():
-                raise  # the work's own
-            look()
+                raise  # a TimeoutError of the work itself
+            poll()

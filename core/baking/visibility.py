@@ -1,8 +1,8 @@
-"""Which voxels a camera ever sees (section 5.3): the skipping marcher, stopped where little light is left.
+"""Second pass of a bake: the voxels that some camera sees (section 5.3), found by marching the cameras' rays until little light is left.
 
-It marches voxels of two on a side: an eighth of the work and of the memory, and still finer than the two voxels by which what
-is seen is widened. A coarse voxel stops as much light as its eight do on average, so that what lies behind a thin sheet is rather
-seen than not.
+The rays march a coarse scene of opacity alone, with voxels twice as large: an eighth of the memory and of the work. That is fine enough,
+because the visible voxels are dilated by two voxels anyway. The transmittance of a coarse voxel is about the mean of its eight voxels, so
+voxels behind a thin sheet are seen rather than culled.
 """
 
 from __future__ import annotations
@@ -19,56 +19,63 @@ from ..geometry.camera import Camera
 from ..geometry.ndc import Ndc
 from ..nerf.frame import Composited
 from ..progress import Progress
-from ..rendering.render import MarchSettings, march_rays, tiled
-from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, SLAB, fill_aprons, grow, number, pack, places_of, unpack
+from ..rendering.render import MarchSettings, march_rays, tiled_pixels
+from ..scene.blocks import (
+    BLOCKS_PER_CHUNK,
+    CELL_VOXELS,
+    DATA_VOXELS,
+    block_coordinates,
+    dilate,
+    fill_aprons,
+    number_blocks,
+    pack_mask,
+    unpack_mask,
+)
 from ..scene.scene import Scene
 from ..scene.voxel_grid import VoxelGrid
 from .occupied_voxels import OccupiedVoxels
-from .resume import ResumeCache, are
+from .resume import Arrays, ResumeCache, arrays_match
 
-HALF = DATA_VOXELS // 2
-MET = 0.99  # a ray that keeps less of its light has met something
+HALF = DATA_VOXELS // 2  # coarse voxels along a block
+HIT_TRANSMITTANCE = 0.99  # a ray with a lower transmittance has hit something
+PIXELS_PER_VOXEL = 0.5  # pixels along a voxel of the coarse scene, in its middle: rays lie two voxels apart, and dilation fills the gaps
 
 
 @dataclass(frozen=True)
-class Light:
-    """What became of the light of the cameras' rays. met: rays that met something; left: the sum of what passes that; samples: that all
-    rays took."""
+class VisibilityStatistics:
+    """Sums over the rays of all cameras."""
 
-    met: float = 0.0
-    left: float = 0.0
-    samples: float = 0.0
+    hits: float = 0.0  # rays that hit something
+    transmittance: float = 0.0  # sum of the transmittance of rays that hit something and left the scene
+    samples: float = 0.0  # samples taken along all rays
 
-    def and_of(self, rays: Composited, stop: float) -> Light:
-        """With more rays, which ended where less light than `stop` was left."""
-        met, passes = rays.transmittance < MET, rays.transmittance > stop
-        left = rays.transmittance[met & passes].sum(dtype=np.float64)
-        return Light(self.met + met.sum(), self.left + left, self.samples + (rays.samples or 0))
+    def with_rays(self, rays: Composited, stop: float) -> VisibilityStatistics:
+        """The sums with more rays, which were marched until their transmittance fell to `stop`."""
+        hit, passed = rays.transmittance < HIT_TRANSMITTANCE, rays.transmittance > stop
+        transmittance = rays.transmittance[hit & passed].sum(dtype=np.float64)
+        return VisibilityStatistics(self.hits + hit.sum(), self.transmittance + transmittance, self.samples + (rays.samples or 0))
 
     def to_json(self) -> dict[str, Any]:
-        """{"rays": that met something, "passes": the share of their light that passes it, "voxels": taken samples along, a ray, about}."""
-        rays = max(self.met, 1.0)
-        return {"rays": round(self.met), "passes": round(self.left / rays, 4), "voxels": round(2 * self.samples / rays, 1)}
+        """{"rays": rays that hit something, "passes": their mean transmittance, "voxels": mean length sampled along a ray, in voxels}."""
+        rays = max(self.hits, 1.0)
+        return {"rays": round(self.hits), "passes": round(self.transmittance / rays, 4), "voxels": round(2 * self.samples / rays, 1)}
 
 
 def visible_voxels(
-    matter: OccupiedVoxels,
+    occupied: OccupiedVoxels,
     voxel_grid: VoxelGrid,
     ndc: Ndc | None,
     cameras: Sequence[Camera],
     threshold: float,
-    kept: ResumeCache,
+    cache: ResumeCache,
     progress: Progress,
-) -> tuple[NDArray[Any], Light]:
-    """uint32 [M, 30, 30]: voxels that a ray of some camera reaches with transmittance >= threshold, and those within two of them; and what
-    became of the light of all rays."""
-    scene = opacity_scene(matter, voxel_grid.halved(), ndc)
-    visited, light, first = np.zeros(len(scene.cells) * CELL_VOXELS**3, bool), Light(), 0
-    for done, arrays in kept.read("visibility"):
-        wanted = {"visited": ((-(-len(visited) // 8),), np.uint8), "light": ((3,), np.floating)}
-        if first < done <= len(cameras) and are(arrays, wanted) and np.isfinite(arrays["light"]).all():
-            first, light = done, Light(*arrays["light"].tolist())
-            visited = np.unpackbits(arrays["visited"])[: len(visited)].astype(bool)
+) -> tuple[NDArray[Any], VisibilityStatistics]:
+    """Voxels that a ray of some camera reaches with a transmittance of at least `threshold`, dilated by two voxels.
+
+    Returns a mask uint32 [M, 30, 30] of the blocks of `occupied` (see scene/blocks.py), and statistics of the rays.
+    """
+    scene = coarse_opacity_scene(occupied, voxel_grid.halved(), ndc)
+    first, visited, statistics = _resume(cache, len(scene.cells) * CELL_VOXELS**3, len(cameras))
     settings = MarchSettings(stop_transmittance=threshold)
     for index in range(first, len(cameras)):
         camera, what = cameras[index], f"Visibility: camera {index + 1} of {len(cameras)}"
@@ -76,61 +83,80 @@ def visible_voxels(
         def tell(fraction: float, _: str, index: int = index, what: str = what) -> None:
             progress((index + fraction) / len(cameras), what)
 
-        coarse = marching_camera(camera, scene)
-        origins, directions = coarse.rays(tiled(coarse.width, coarse.height))
-        light = light.and_of(march_rays(scene, origins, directions, settings, tell, camera.near, visited), threshold)
+        coarse = visibility_camera(camera, scene)
+        origins, directions = coarse.rays(tiled_pixels(coarse.width, coarse.height))
+        rays = march_rays(scene, origins, directions, settings, tell, camera.near, visited)
+        statistics = statistics.with_rays(rays, threshold)
         tell(1.0, "")
-        if kept.due or index + 1 == len(cameras):
-            kept.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(light))})
-            kept.flush()
+        if cache.due or index + 1 == len(cameras):
+            cache.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(statistics))})
+            cache.flush()
     own = visited.reshape(-1, *(CELL_VOXELS,) * 3)[:, 1:-1, 1:-1, 1:-1]
-    return refined(grow(pack(own), scene.indirection), scene.indirection, matter.indirection), light
+    return refine_mask(dilate(pack_mask(own), scene.indirection), scene.indirection, occupied.indirection), statistics
 
 
-def opacity_scene(matter: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: Ndc | None) -> Scene:
-    """A scene of opacity alone on the lattice of voxels twice as large; faint voxels stay, so that fog adds up."""
-    places = places_of(matter.indirection)
-    mask = np.zeros(voxel_grid.blocks, bool)
-    mask[tuple((places // 2).T)] = True
-    indirection = number(mask)
-    cells = np.zeros((int(mask.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
-    for octant, rows in octants(places):
+def _resume(cache: ResumeCache, voxels: int, cameras: int) -> tuple[int, NDArray[Any], VisibilityStatistics]:
+    """Cameras that are done already, the voxels that they visited, bool [voxels], and their statistics."""
+    first, visited, statistics = 0, np.zeros(voxels, bool), VisibilityStatistics()
+    expected = {"visited": ((-(-voxels // 8),), np.uint8), "light": ((3,), np.floating)}
+
+    def is_valid(done: int, arrays: Arrays) -> bool:
+        return first < done <= cameras and arrays_match(arrays, expected) and bool(np.isfinite(arrays["light"]).all())
+
+    for done, arrays in cache.read("visibility"):
+        if is_valid(done, arrays):
+            first, statistics = done, VisibilityStatistics(*arrays["light"].tolist())
+            visited = np.unpackbits(arrays["visited"])[:voxels].astype(bool)
+    return first, visited, statistics
+
+
+def coarse_opacity_scene(occupied: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: Ndc | None) -> Scene:
+    """A scene of opacity alone on a grid of half the resolution. Faint voxels are kept in it, so that fog adds up."""
+    coordinates = block_coordinates(occupied.indirection)
+    used = np.zeros(voxel_grid.blocks, bool)
+    used[tuple((coordinates // 2).T)] = True
+    indirection = number_blocks(used)
+    cells = np.zeros((int(used.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
+    for octant, rows in octants(coordinates):
         part = tuple(slice(1 + HALF * o, 1 + HALF * (o + 1)) for o in octant)
-        cells[(indirection[tuple((places[rows] // 2).T)], *part, 3)] = matter.coarse[rows]
+        cells[(indirection[tuple((coordinates[rows] // 2).T)], *part, 3)] = occupied.coarse_opacity[rows]
     for _ in fill_aprons(cells, indirection):
         pass
     return Scene(voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape, indirection, cells, None, ndc=ndc)
 
 
-def refined(bits: NDArray[Any], coarse: NDArray[Any], fine: NDArray[Any]) -> NDArray[Any]:
-    """A mask of coarse voxels [Mc, 30, 30] as one of the voxels twice as fine [M, 30, 30]; coarse, fine: their indirection grids."""
-    places = places_of(fine)
-    result = np.zeros((len(places), DATA_VOXELS, DATA_VOXELS), np.uint32)
-    for octant, rows in octants(places):
+def refine_mask(mask: NDArray[Any], coarse: NDArray[Any], fine: NDArray[Any]) -> NDArray[Any]:
+    """A mask of coarse voxels [Mc, 30, 30] as a mask [M, 30, 30] of voxels half as large.
+
+    coarse, fine: the indirection grids int32 [bx, by, bz] of the two masks' blocks.
+    """
+    coordinates = block_coordinates(fine)
+    result = np.zeros((len(coordinates), DATA_VOXELS, DATA_VOXELS), np.uint32)
+    for octant, rows in octants(coordinates):
         part = tuple(slice(HALF * o, HALF * (o + 1)) for o in octant)
-        for start in range(0, len(rows), SLAB):
-            some = rows[start : start + SLAB]
-            own = unpack(bits[coarse[tuple((places[some] // 2).T)]])[(slice(None), *part)]
-            result[some] = pack(own.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3))
+        for start in range(0, len(rows), BLOCKS_PER_CHUNK):
+            chunk = rows[start : start + BLOCKS_PER_CHUNK]
+            own = unpack_mask(mask[coarse[tuple((coordinates[chunk] // 2).T)]])[(slice(None), *part)]
+            result[chunk] = pack_mask(own.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3))
     return result
 
 
-def octants(places: NDArray[Any]) -> list[tuple[tuple[int, ...], NDArray[Any]]]:
-    """Each octant (0 or 1 an axis) of a block of coarse voxels, and which blocks at places [M, 3] of fine ones fill it."""
-    return [(octant, np.flatnonzero((places % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
+def octants(coordinates: NDArray[Any]) -> list[tuple[tuple[int, ...], NDArray[Any]]]:
+    """For each octant of a coarse block, (0 or 1 along each axis): the rows of those fine blocks [M, 3] that fill this octant of theirs."""
+    return [(octant, np.flatnonzero((coordinates % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
 
 
-def marching_camera(camera: Camera, scene: Scene) -> Camera:
-    """The camera with pixels of about two voxels at the middle of the scene, at most as many as it has."""
-    scale = min(1.0, 0.5 / (pixels_a_unit(camera, scene) * scene.voxel_size))
+def visibility_camera(camera: Camera, scene: Scene) -> Camera:
+    """The camera with fewer pixels, PIXELS_PER_VOXEL to a voxel in the middle of the scene; never with more than it has."""
+    scale = min(1.0, PIXELS_PER_VOXEL / (pixels_per_unit(camera, scene) * scene.voxel_size))
     return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
-def pixels_a_unit(camera: Camera, scene: Scene) -> float:
-    """Pixels of a camera that a length of 1 of the scene's space covers, about the middle of the scene."""
+def pixels_per_unit(camera: Camera, scene: Scene) -> float:
+    """Pixels of a camera along a length of 1 in the middle of a scene, in units of the scene's grid (see Scene.ndc)."""
     if camera.projection == "orthographic":
         return max(camera.focal)
-    if scene.ndc is not None:  # as many at any depth for a camera where the frame is, about as many for its neighbours
+    if scene.ndc is not None:  # independent of depth for a camera at the origin of the NDC, about the same for cameras near it
         return max(mine / frame for mine, frame in zip(camera.focal, scene.ndc.focal, strict=True))
     box = scene.box
     return max(camera.focal) / max(float(np.linalg.norm(camera.position - box.box_to_world[:3, 3])), float(box.size.max()) / 4)

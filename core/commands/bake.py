@@ -1,12 +1,13 @@
-"""`snerg bake`: a field inside a box to a scene."""
+"""`snerg bake`: bakes a field inside a box into a scene."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..artifact import Result
-from ..baking.bake import BakeSettings, check_lengths
+from ..baking.bake import BakeSettings, check_voxel_size
 from ..data.dataset import Dataset
 from ..data.load import read_dataset
 from ..errors import SnergError
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from ..nerf.field import Field
 from ..baking.bake_field import bake_field
 from .check_out import check_out
+from .command import Command
+from .options import add_bake_options, add_codec_options, codec_settings, path
 
 DEFAULT_BAKE = BakeSettings()
 
@@ -38,11 +41,11 @@ def bake_scene(
     progress: Progress = silent,
     codec: CodecSettings = PNG,
 ) -> Result:
-    """Bake a field inside a box into a scene (JAX), then refine its view-dependence network on the training images.
+    """Bake a field inside a box into a scene (JAX), then fine-tune its view-dependence network on the training images.
 
-    box: a JSON file (see Box.from_json); all that the field holds when None. Raises SnergError on bad input, and for settings
+    box: a JSON file (see Box.from_json); the field's whole domain when None. Raises SnergError on bad input, and for settings
     that change nothing in this field; Cancelled when `progress` does. Then `out` is as it was, and what is finished lies in a
-    folder beside it (.NAME.bake), from which the same bake goes on when it is started again.
+    folder beside it (.NAME.bake), from which the same bake resumes.
     """
     check_out(out, "scene", field)
     check_storable(settings.quantise, codec)
@@ -60,15 +63,16 @@ def bake_scene(
 
 
 def check_settings(settings: BakeSettings, field: Field) -> None:
-    check_lengths(settings, field)
+    """Raise SnergError for settings that the field cannot be baked with, or that change nothing in it."""
+    check_voxel_size(settings, field)
     if not settings.network and field.network is None:
         raise SnergError("The field is diffuse: it has no network to leave out; bake it without --no-network.")
     if not settings.visibility and not field.cameras:
-        raise SnergError("The field knows no cameras, so that all of it is kept in any case; bake it without --no-visibility.")
+        raise SnergError("The field has no cameras, so that nothing is culled; bake it without --no-visibility.")
 
 
 def images_to_refine_on(field: Field) -> Dataset | None:
-    """The images that the field was trained on, or None where there is nothing to refine or it was imported."""
+    """The training images of a field; None for a diffuse field, and for an imported one. Raises SnergError where they are missing."""
     if field.network is None or not field.dataset:
         return None
     if not Path(field.dataset).exists():
@@ -76,3 +80,32 @@ def images_to_refine_on(field: Field) -> Dataset | None:
             f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
         )
     return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg bake`."""
+    parser.add_argument("field", type=path, metavar="FIELD")
+    parser.add_argument("--out", type=path, required=True, metavar="SCENE")
+    add_bake_options(parser)
+    add_codec_options(parser, "png")
+    compared = parser.add_argument_group("ablations", "Each leaves out a part of the method, as in the tables of the paper.")
+    compared.add_argument("--no-visibility", dest="visibility", action="store_false", help="keep voxels that no camera sees")
+    compared.add_argument("--no-network", dest="network", action="store_false", help="no view dependence: store no features")
+    compared.add_argument("--float", dest="quantise", action="store_false", help="32 bits a value in place of 8")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg bake`."""
+    settings = BakeSettings(
+        resolution=options.resolution,
+        supersampling=options.samples,
+        voxel_size=options.voxel_size,
+        visibility=options.visibility,
+        quantise=options.quantise,
+        network=options.network,
+    )
+    codec = codec_settings(options) or PNG
+    return bake_scene(options.field, options.out, settings, options.box, options.refine, progress, codec)
+
+
+COMMAND = Command("bake", "bake a field into a scene", add_options, run)

@@ -1,7 +1,8 @@
-"""`snerg bundle`: a scene as a web page."""
+"""`snerg bundle`: writes a scene as a web page."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of
@@ -9,12 +10,14 @@ from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
 from ..export.scene_files import codec_of, is_current
-from ..io.files import one_generation
+from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from .check_out import check_out
+from .command import Command
 from .export import published
+from .options import add_codec_options, codec_settings, path
 
 
 @writes_out("a bundle")
@@ -26,7 +29,7 @@ def bundle_scene(
     progress: Progress = silent,
     codec: CodecSettings | None = None,
 ) -> Result:
-    """Write a web page that shows a scene: a folder for any static server, or one .html when `single_file`.
+    """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
     cameras: a transforms file whose cameras the page lists. codec: of the scene's pictures; the scene's own when None.
     """
@@ -43,3 +46,20 @@ def bundle_scene(
     codec = codec or stored or PNG
     written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source)
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg bundle`."""
+    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("--out", type=path, required=True, metavar="DIR")
+    parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
+    parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
+    add_codec_options(parser, "the scene's own")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg bundle`."""
+    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec_settings(options))
+
+
+COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

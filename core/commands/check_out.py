@@ -1,4 +1,4 @@
-"""Where a command may write its result."""
+"""Checks where a command may write its result."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..nerf.checkpoint import is_field
 
 
 def check_out(out: Path, kind: str, *sources: Path) -> None:
-    """Raise SnergError when results of a kind could not go to `out`, or would replace what took long to make."""
+    """Raise SnergError when a result of `kind` cannot be written to `out`, or would replace one of `sources`, a dataset or a field."""
     there = out.resolve()
     for source in sources:
         other = source.resolve()

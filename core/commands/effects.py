@@ -1,7 +1,8 @@
-"""`snerg effects`: which optional effects a dataset, a field or a scene calls for, and why."""
+"""`snerg effects`: the optional effects of a dataset, a field or a scene, with the evidence for each."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of, open_field, open_scene
@@ -10,12 +11,14 @@ from ..export.codecs import PNG
 from ..export.scene_files import codec_of, is_scene
 from ..progress import Progress, silent
 from ..study.effects import Effect, of_dataset, of_field, of_scene
+from .command import Command
+from .options import path as path_argument
 
 
 def effects(path: Path, progress: Progress = silent) -> Result:
-    """{"kind", "path", "effects"}: each optional effect of a dataset, field, checkpoint or scene, as Effect.to_json.
+    """The optional effects of what is at a path: {"kind", "path", "effects": values of Effect.to_json}.
 
-    Raises SnergError when it is none of these, or its images cannot be read.
+    Raises SnergError when it is not a dataset, field, checkpoint or scene, or its images cannot be read.
     """
     kind = kind_of(path)
     return {"kind": kind, "path": str(path), "effects": [effect.to_json() for effect in _found(path, kind, progress)]}
@@ -32,9 +35,22 @@ def _found(path: Path, kind: str, progress: Progress) -> list[Effect]:
 
 
 def effects_text(result: Result) -> str:
-    """The effects for people, a paragraph each."""
+    """The effects in words, two lines each. result: of `effects`."""
     lines = []
     for value in result["effects"]:
         effect = Effect.from_json(value)
         lines += [effect.decision.text(), f"    costs: {effect.costs} Left out, it saves: {effect.saves}"]
     return "\n".join(lines)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg effects`."""
+    parser.add_argument("path", type=path_argument, metavar="PATH")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg effects`."""
+    return effects(options.path, progress)
+
+
+COMMAND = Command("effects", "list which optional effects a scene needs, and why", add_options, run, effects_text)

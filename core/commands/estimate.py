@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,11 @@ from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
 from ..geometry.box import Box
 from ..progress import Progress, silent
-from ..training.config import TrainSettings
+from ..training.config import PRESETS, TrainSettings
+from .command import Command
+from .options import add_bake_options, count, positive
+from .options import path as path_argument
+from .train import settings_of
 
 if TYPE_CHECKING:
     from ..study.field_probe import FieldProbe
@@ -29,43 +34,69 @@ def estimate(
     refine: bool = True,
     size: tuple[int, int] = (800, 800),
     options: DatasetOptions = DEFAULT_OPTIONS,
-    survey: Path | None = None,
+    probe: Path | None = None,
     progress: Progress = silent,
 ) -> Result:
-    """What training a dataset, or baking, exporting and previewing a field will take on this machine (JAX).
+    """The estimated time and memory of training a dataset, or of baking, storing and previewing a field, on this machine (JAX).
 
-    survey: a file where the look at a field is kept, and found again as long as the field is the same.
+    size: pixels of the preview (width, height). probe: a file that keeps the field probe; it is used again while the field and the
+    machine are the same. Returns JSON values: of a dataset as `cost_model.training`, of a field as `Estimate.to_json`.
     Raises SnergError when the path is neither, or the field cannot be baked.
     """
     kind = kind_of(path)
     if kind not in ("dataset", "field", "checkpoint"):
         raise SnergError(f"{path} is a {kind}, which is baked already; give a dataset or a field.")
     with needs_jax():
-        import jax  # noqa: F401  # what is timed is compiled
+        import jax  # noqa: F401  # timing compiles
+    from ..study import cost_model
+
     if kind == "dataset":
-        from ..study.cost_model import training as train
-
-        return {"kind": kind, "path": str(path), **train(read_dataset(path, "train", options), training)}
-    from ..study.cost_model import estimate as bake
-
-    volume = Box.read(box) if box is not None else None
-    looked = _looked(path, survey, progress)
-    told = bake(looked, volume or looked.field.domain.world_box(), settings, refine, size)
-    return {"kind": kind, "path": str(path), "survey_seconds": round(looked.seconds, 2), **told.to_json()}
+        return {"kind": kind, "path": str(path), **cost_model.training(read_dataset(path, "train", options), training)}
+    found = _field_probe(path, probe, progress)
+    volume = Box.read(box) if box is not None else found.field.domain.world_box()
+    result = cost_model.estimate(found, volume, settings, refine, size)
+    return {"kind": kind, "path": str(path), "survey_seconds": round(found.seconds, 2), **result.to_json()}
 
 
-def _looked(path: Path, kept: Path | None, progress: Progress) -> FieldProbe:
-    """The survey of a field: the one that is kept, or a new one, which then is."""
-    from ..study.field_probe import survey
-    from ..study.field_probe_file import check_survey, read_survey, stamp, write_survey
+def _field_probe(path: Path, kept: Path | None, progress: Progress) -> FieldProbe:
+    """The field probe in the file `kept`, where it is of this field; else a new one, which is written there."""
+    from ..study.field_probe import probe_field
+    from ..study.field_probe_file import check_field_probe, read_field_probe, stamp, write_field_probe
 
     if kept is not None:
-        check_survey(kept)
+        check_field_probe(kept)
     mark, field = stamp(path), open_field(path)
-    looked = read_survey(kept, mark, lambda: field) if kept is not None else None
-    if looked is None:
-        progress(0.1, "Looking at the field")
-        looked = survey(field)
+    probe = read_field_probe(kept, mark, lambda: field) if kept is not None else None
+    if probe is None:
+        progress(0.1, "Probing the field")
+        probe = probe_field(field)
         if kept is not None:
-            write_survey(kept, looked, mark)
-    return looked
+            write_field_probe(kept, probe, mark)
+    return probe
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg estimate`."""
+    parser.add_argument("path", type=path_argument, metavar="DATASET_OR_FIELD")
+    baked = parser.add_argument_group("of a field", "What a bake, its files and a preview take.")
+    add_bake_options(baked)
+    baked.add_argument(
+        "--probe", "--survey", type=path_argument, metavar="FILE", help="where the field probe is kept for the next estimate"
+    )
+    baked.add_argument("--width", type=count, default=800, metavar="W", help="pixels of the preview (default: %(default)s)")
+    baked.add_argument("--height", type=count, default=800, metavar="H", help="(default: %(default)s)")
+    trained = parser.add_argument_group("of a dataset", "What a training takes.")
+    trained.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="(default: %(default)s)")
+    trained.add_argument("--minutes", type=positive, metavar="M", help="of training: estimate its steps")
+    trained.add_argument("--steps", type=count, metavar="N", help="of training: estimate its time")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg estimate`."""
+    training = settings_of(options.preset, options.minutes, options.steps, 0, {})
+    settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, supersampling=options.samples)
+    size = options.width, options.height
+    return estimate(options.path, training, settings, options.box, options.refine, size, probe=options.probe, progress=progress)
+
+
+COMMAND = Command("estimate", "estimate the time and memory of a training or a bake on this machine", add_options, run)

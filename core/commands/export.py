@@ -1,18 +1,21 @@
-"""`snerg export`: a scene in the published layout."""
+"""`snerg export`: writes a scene in the reference PNG layout."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of, open_scene
 from ..export.reference import reference_files, write_reference
 from ..export.scene_files import is_scene, scene_files
-from ..io.files import one_generation
+from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from .check_out import check_out
+from .command import Command
 from .info import info
+from .options import path
 
 
 @writes_out("an export")
@@ -24,7 +27,7 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
 
 
 def published(scene: Path) -> Scene:
-    """A baked scene to publish. Raises SnergError where it takes a file from elsewhere, through a link."""
+    """The baked scene at a path. Raises SnergError where one of its files is a link to another folder."""
 
     def read() -> Scene:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's
@@ -35,3 +38,17 @@ def published(scene: Path) -> Scene:
         return open_scene(scene)
 
     return one_generation(scene, read)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg export`."""
+    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("--out", type=path, required=True, metavar="DIR")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg export`."""
+    return export_reference(options.scene, options.out, progress)
+
+
+COMMAND = Command("export", "write a scene in the reference PNG layout", add_options, run)

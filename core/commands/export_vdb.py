@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from ..artifact import Result, open_scene
 from ..errors import SnergError
 from ..export.vdb import write_vdb
 from ..progress import Progress, silent
+from .command import Command
+from .options import path
 
 
 def export_vdb(scene: Path, out: Path, progress: Progress = silent) -> Result:
@@ -15,3 +18,17 @@ def export_vdb(scene: Path, out: Path, progress: Progress = silent) -> Result:
     if out.suffix.lower() != ".vdb" or out.is_dir():
         raise SnergError(f"{out} is no .vdb file; give the volume's file a name that ends in .vdb.")
     return {"out": str(out), "scene": str(scene), **write_vdb(open_scene(scene), out, progress)}
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg export-vdb`."""
+    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("--out", type=path, required=True, metavar="FILE.vdb")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg export-vdb`."""
+    return export_vdb(options.scene, options.out, progress)
+
+
+COMMAND = Command("export-vdb", "write a scene as an OpenVDB volume, for Cycles and EEVEE", add_options, run)

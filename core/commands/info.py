@@ -1,32 +1,39 @@
-"""`snerg info`: what there is to say of what lies at a path."""
+"""`snerg info`: describes the dataset, field, checkpoint or scene at a path."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from ..artifact import Result, kind_of, open_field
-from ..data.load import read_dataset
+from ..data.load import read_dataset, read_split
+from ..errors import SnergError
 from ..export.reference import read_reference
 from ..export.reference_params import read_params
 from ..export.scene_files import codec_of, is_scene, read_scene
 from ..geometry.camera import Camera
-from ..io.files import folder_bytes, one_generation, read_json
+from ..io.files import folder_bytes, read_json
+from ..io.generation import one_generation
 from ..io.guard import reading
 from ..io.schema import record
 from ..nerf.field import Field
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from ..training.decisions import forward_facing
+from ..training.devices import device_report
 from ..training.training_folder import trainings_beside
+from .command import Command
+from .options import path as path_argument
 
 
 def info(path: Path, progress: Progress = silent) -> Result:
-    """What a dataset, field, checkpoint or scene is: its sizes, blocks, megabytes and the effects that it carries.
+    """The kind of what lies at `path`, its size in megabytes, and what describes its kind: views and box of a dataset, settings and
+    decisions of a field, voxels, blocks and effects of a scene.
 
-    Raises SnergError when it is none of these.
+    Raises SnergError when `path` is no dataset, field, checkpoint or scene.
     """
     return one_generation(path, lambda: _info(path))
 
@@ -46,7 +53,7 @@ def _info(path: Path) -> Result:
 
 def _dataset_info(path: Path) -> Result:
     train = read_dataset(path, "train")
-    opened = [train, *(read_dataset(path, split) for split in train.splits() if split != "train")]
+    opened = [train, *(read_split(train, split) for split in train.splits() if split != "train")]
     cameras = [camera for part in opened for camera in part.cameras]
     transparent = has_alpha(train.read(0))
     decision, _ = forward_facing("auto", train.cameras, train.points, train.bounds, transparent)
@@ -67,12 +74,12 @@ def _dataset_info(path: Path) -> Result:
         "suggested_size": [round(float(side), 4) for side in box.size],
         "forward_facing": decision.chosen,
         "evidence": decision.evidence,
-        "without_image": train.passed_over,
+        "without_image": train.skipped_frames,
     }
 
 
 def has_alpha(image: NDArray[Any]) -> bool:
-    """Whether a picture [H, W, 3 or 4] uint8 is transparent anywhere."""
+    """Whether any pixel of an image [H, W, 3 or 4] uint8 is not opaque."""
     return image.shape[-1] == 4 and bool((image[..., 3] < 255).any())
 
 
@@ -93,7 +100,7 @@ def _field_info(field: Field) -> Result:
 
 
 def _unfinished(path: Path) -> Result:
-    """The trainings that are to take a field's place (see training_folder), where there are some."""
+    """The unfinished trainings that will replace a field (see training_folder), if there are any."""
     found = trainings_beside(path)
     return {"unfinished_trainings": found} if found else {}
 
@@ -138,3 +145,21 @@ def page_cameras(path: Path) -> tuple[Camera, ...]:
     value = read_json(path)
     with reading(path, "write the page again"):
         return tuple(Camera.from_json(camera) for camera in record(value, "the file")["cameras"])
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg info`."""
+    parser.add_argument("path", type=path_argument, nargs="?", metavar="PATH")
+    parser.add_argument("--devices", action="store_true", help="list the devices that training uses")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg info`. Raises SnergError without a path and without --devices."""
+    if options.devices:
+        return device_report()
+    if options.path is None:
+        raise SnergError("There is nothing to describe; give a path, or --devices.")
+    return info(options.path, progress)
+
+
+COMMAND = Command("info", "describe a dataset, field, checkpoint or scene, or the devices that training uses", add_options, run)

@@ -1,7 +1,8 @@
-"""`snerg render`: a scene from cameras to pictures."""
+"""`snerg render`: renders a scene from cameras into images."""
 
 from __future__ import annotations
 
+import argparse
 import re
 import time
 from collections.abc import Sequence
@@ -17,6 +18,8 @@ from ..progress import Progress, silent, within
 from ..rendering.render import MarchSettings, render_scene
 from ..study.evaluate import ready_scene
 from .check_out import check_out
+from .command import Command
+from .options import add_march_options, count, march_settings, path
 
 DEFAULT_MARCH = MarchSettings()
 
@@ -31,9 +34,9 @@ def render_views(
     progress: Progress = silent,
     settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
-    """March a scene from each camera of a transforms file into PNGs with straight alpha, one a camera.
+    """Render a scene from each camera of a transforms file into PNG files with straight alpha.
 
-    width, height: pixels, in place of the cameras' own; with one of them the other keeps the shape. Raises SnergError on
+    width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. Raises SnergError on
     bad input, Cancelled when `progress` does; then `out` is as it was.
     """
     check_out(out, "pictures", scene, cameras)
@@ -57,7 +60,7 @@ def render_views(
 
 
 def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
-    """The camera at another size in pixels; one side alone keeps the shape."""
+    """The camera with another size in pixels; with one side alone the aspect ratio is kept."""
     if width is None and height is None:
         return camera
     if height is None:
@@ -68,8 +71,27 @@ def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """A plain file name a camera, numbered where they would collide."""
+    """A file name for each camera without special characters, numbered where two would be the same."""
     plain = [re.sub(r"[^\w.-]+", "_", name).strip("._") for name in names]
     if all(plain) and len({name.lower() for name in plain}) == len(plain):
         return plain
     return [f"{index:03d}_{name}".rstrip("_") for index, name in enumerate(plain)]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg render`."""
+    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
+    parser.add_argument("--out", type=path, required=True, metavar="DIR")
+    parser.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
+    parser.add_argument("--height", type=count, metavar="H")
+    add_march_options(parser)
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg render`."""
+    settings = march_settings(options)
+    return render_views(options.scene, options.cameras, options.out, options.width, options.height, progress, settings)
+
+
+COMMAND = Command("render", "render a scene from cameras", add_options, run)

@@ -1,7 +1,8 @@
-"""`snerg train`: a dataset to a field."""
+"""`snerg train`: trains a field on a dataset."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import replace
@@ -12,17 +13,22 @@ from ..artifact import Result
 from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
-from ..io.files import folder_bytes, one_generation
+from ..io.files import folder_bytes
+from ..io.generation import one_generation
 from ..io.lock import one_writer
 from ..nerf.checkpoint import read_field
+from ..nerf.model import VIEWS
 from ..progress import Note, Progress, silent
 from ..training.config import PRESETS, TrainSettings, suited_to_time
 from ..training.config_values import with_values
+from ..training.devices import connect
 from ..training.training_folder import FINISHED, NEW, UNFINISHED, finish, training_folder
 
 if TYPE_CHECKING:
     from ..nerf.field import Field
 from .check_out import check_out
+from .command import Command
+from .options import add_dataset_options, count, natural, path, positive
 
 
 def train_field(
@@ -59,7 +65,7 @@ def train_field(
 
 
 def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
-    """What there is to say of a training."""
+    """The result of `train_field`."""
     about = field.about
     return {
         "field": str(out),
@@ -77,7 +83,7 @@ def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
 
 
 def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int, values: Mapping[str, str]) -> TrainSettings:
-    """A preset with some settings changed. Raises SnergError on a name or a value that there is not."""
+    """The settings of a preset with other values. Raises SnergError on unknown names and wrong values."""
     if preset not in PRESETS:
         raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
     settings = replace(PRESETS[preset], seed=seed)
@@ -86,3 +92,61 @@ def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int
     elif minutes is not None:
         settings = replace(settings, steps=None, seconds=60 * minutes)
     return with_values(suited_to_time(settings), values)
+
+
+def background(text: str) -> str:
+    """'white', 'black' or 'random' as given, or 'R,G,B' from 0 to 255 as '#rrggbb'. Raises argparse.ArgumentTypeError otherwise."""
+    parts = text.split(",")
+    if len(parts) == 1:
+        return text
+    values = [int(part) for part in parts]
+    if len(values) != 3 or not all(0 <= value <= 255 for value in values):
+        raise argparse.ArgumentTypeError(f"{text} must be three numbers from 0 to 255")
+    return "#{:02x}{:02x}{:02x}".format(*values)
+
+
+def assignment(text: str) -> tuple[str, str]:
+    """(name, value) of 'NAME=VALUE'. Raises argparse.ArgumentTypeError otherwise."""
+    name, sign, value = text.partition("=")
+    if not sign or not name.strip():
+        raise argparse.ArgumentTypeError(f"{text} must be NAME=VALUE")
+    return name.strip(), value
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg train`."""
+    parser.add_argument("dataset", type=path, metavar="DATASET", help="folder with transforms.json, poses_bounds.npy or a COLMAP model")
+    parser.add_argument("--out", type=path, required=True, metavar="FIELD")
+    parser.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="kind of field and its settings (default: %(default)s)")
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--minutes", type=positive, metavar="M", help="how long to train")
+    length.add_argument("--steps", type=count, metavar="N", help="how many steps to train")
+    parser.add_argument("--seed", type=natural, default=0, metavar="S", help="of all random numbers (default: %(default)s)")
+    parser.add_argument("--view-dependence", choices=("auto", *VIEWS), help="how colours depend on the view direction (default: auto)")
+    parser.add_argument("--background", type=background, metavar="COLOUR", help="white, black, random or R,G,B (0 to 255) behind alpha")
+    parser.add_argument(
+        "--ndc", choices=("auto", "on", "off"), help="normalised device coordinates, for forward-facing captures (default: auto)"
+    )
+    add_dataset_options(parser, DatasetOptions())
+    parser.add_argument("--set", type=assignment, action="append", default=[], metavar="NAME=VALUE", help="any other setting, by its name")
+    parser.add_argument("--coordinator", metavar="HOST:PORT", help="of process 0, where several processes train together")
+    parser.add_argument("--processes", type=count, default=1, metavar="N", help="number of processes that train together")
+    parser.add_argument("--process", type=natural, default=0, metavar="I", help="index of this process, from 0")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg train`. Raises SnergError for several processes without a coordinator, and for unknown settings."""
+    if options.coordinator is None and (options.processes, options.process) != (1, 0):
+        raise SnergError("Several processes need to meet; give --coordinator HOST:PORT, the same for each.")
+    named = {name: getattr(options, name) for name in ("view_dependence", "background", "ndc")}
+    values = dict(options.set) | {name: value for name, value in named.items() if value is not None}
+    settings_of(options.preset, options.minutes, options.steps, options.seed, values)  # errors before other processes wait for this one
+    if options.coordinator is not None:
+        connect(options.coordinator, options.processes, options.process)
+    reading = DatasetOptions(options.holdout, options.downscale)
+    return train_field(
+        options.dataset, options.out, options.preset, options.minutes, options.steps, options.seed, reading, values, progress
+    )
+
+
+COMMAND = Command("train", "train a field on a dataset", add_options, run)

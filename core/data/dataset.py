@@ -1,4 +1,4 @@
-"""A dataset: views with cameras, on disk until they are needed."""
+"""A dataset: views with their cameras. The images stay on disk until they are needed."""
 
 from __future__ import annotations
 
@@ -20,29 +20,22 @@ HELD_OUT = ("val", "test")  # both name the views held out of a source that has 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One photograph or render, and the camera that took it.
-
-    mask: a picture whose black pixels are not to be learned from; with `mask_hides`, whose white ones are not (instant-ngp's
-    dynamic masks). factor: how many of the image's pixels along a side make one of the camera's.
-    """
+    """One image, photographed or rendered, and the camera that took it."""
 
     camera: Camera
     image: Path
-    mask: Path | None = None
-    mask_hides: bool = False
-    factor: int = 1
+    mask: Path | None = None  # an image whose black pixels are excluded from training, or its white ones with mask_hides
+    mask_hides: bool = False  # for dynamic masks of instant-ngp
+    factor: int = 1  # image pixels along a side that are averaged to one pixel of the camera
+    image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
 
 
 @dataclass(frozen=True)
 class DatasetOptions:
-    """How to read a dataset.
+    """How to read a dataset. Raises SnergError when a value is out of range."""
 
-    holdout: every n-th view (0, n, 2n ...) is kept for measuring, as split 'val' or 'test', where the source has no splits of its
-    own; 0 keeps none. downscale: pictures are read this many times smaller along each side.
-    """
-
-    holdout: int = 8
-    downscale: int = 1
+    holdout: int = 8  # every n-th view (0, n, 2n ...) is held out as 'val' or 'test' where the source has no splits; 0: none
+    downscale: int = 1  # images are reduced by this factor along each side
 
     def __post_init__(self) -> None:
         if not isinstance(self.holdout, int) or self.holdout < 0 or self.holdout == 1:
@@ -53,26 +46,21 @@ class DatasetOptions:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Views of one split of a capture.
-
-    box: what training must explain, as far as the source tells, None where it tells nothing. points [N, 3] float64 and colours
-    [N, 3] uint8: what structure from motion found. bounds: [V, 2] nearest and farthest depth a view. All in world units, after
-    `source_to_world` [4, 4], the similarity that sets photographs upright near the origin (the identity for renders).
-    kind: 'transforms', 'llff' or 'colmap'. passed_over: frames of the source that have no image.
-    """
+    """The views of one split of a capture, in world units: z up, near the origin. Images are read from disk when they are asked for."""
 
     root: Path
     split: str
     views: tuple[View, ...]
-    box: Box | None = None
-    points: NDArray[Any] | None = None
-    colours: NDArray[Any] | None = None
-    bounds: NDArray[Any] | None = None
-    source_to_world: NDArray[Any] = field(default_factory=lambda: np.eye(4))
+    box: Box | None = None  # the region that training must explain; None if the source does not give one
+    points: NDArray[Any] | None = None  # [N, 3] float64, the points of structure from motion
+    colours: NDArray[Any] | None = None  # [N, 3] uint8, their colours
+    bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
+    source_to_world: NDArray[Any] = field(default_factory=lambda: np.eye(4))  # [4, 4] similarity; the identity for renders
     options: DatasetOptions = DatasetOptions()
-    kind: str = "transforms"
-    split_names: tuple[str, ...] = ()
-    passed_over: int = 0
+    kind: str = "transforms"  # or 'llff' or 'colmap'
+    split_names: tuple[str, ...] = ()  # of all splits of the capture
+    skipped_frames: int = 0  # frames of the source that have no image
+    source: Source | None = None  # what the reader found, for other splits; None if the dataset was not read from files
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -80,7 +68,10 @@ class Dataset:
         return tuple(view.camera for view in self.views)
 
     def read(self, index: int) -> NDArray[Any]:
-        """View `index` as uint8 [H, W, 3 or 4], sRGB, straight alpha. Raises SnergError when it cannot be read any more."""
+        """The image of view `index`, uint8 [H, W, 3 or 4], sRGB with straight alpha.
+
+        Raises SnergError when it cannot be read, or is not as large as when the dataset was read.
+        """
         view = self.views[index]
         pixels = reduced(read_image(view.image), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
@@ -88,53 +79,54 @@ class Dataset:
         return pixels
 
     def mask(self, index: int) -> NDArray[Any] | None:
-        """Which pixels of view `index` to learn from, bool [H, W], or None for all: what its mask leaves, as far as the lens's
-        model holds. Raises SnergError when the mask cannot be read."""
+        """The pixels of view `index` to train on, bool [H, W]; None for all of them.
+
+        Pixels that the mask hides are excluded, and those for which the distortion model is not valid (see Camera.valid_pixels).
+        Raises SnergError when the mask cannot be read.
+        """
         view = self.views[index]
-        seen = view.camera.sees()
+        valid = view.camera.valid_pixels()
         if view.mask is None:
-            return seen
+            return valid
         width, height, factor = view.camera.width, view.camera.height, view.factor
-        use = read_mask(view.mask, *read_size(view.image), view.mask_hides)[: height * factor, : width * factor]
+        use = read_mask(view.mask, *(view.image_size or read_size(view.image)), view.mask_hides)[: height * factor, : width * factor]
         use = use.reshape(height, factor, width, factor).all(axis=(1, 3))
-        return use if seen is None else use & seen
+        return np.asarray(use if valid is None else use & valid)
 
     def splits(self) -> tuple[str, ...]:
-        """The names of the splits there are, 'train' first."""
+        """The names of all splits of the capture, 'train' first."""
         return self.split_names or (self.split,)
 
     def suggested_box(self) -> Box:
-        """The box to train in: `box`, or a cube around the point that the cameras look at (see `focus_box`)."""
+        """The box to train in: `box` where there is one, else a cube around the point that the cameras look at (see `focus_box`)."""
         return self.box or focus_box(self.cameras)
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What a reader found: all views, in the source's own world and at their images' sizes.
-
-    splits: the numbers of the views of each split, None where the source has no splits. names: of splits that are in other files.
-    photographs: whether the world has no up and no scale of its own. half: of the cube round the source's origin that the
-    scene is said to fill. factor: how many times smaller the images are still to be made.
-    """
+    """What a reader found: all views, in the source's own world, their cameras at the size of the images."""
 
     root: Path
-    kind: str
+    kind: str  # 'transforms', 'llff' or 'colmap'
     views: tuple[View, ...]
-    splits: dict[str, list[int]] | None = None
-    names: tuple[str, ...] = ()
+    splits: dict[str, list[int]] | None = None  # indices into `views` by split; None if the source has no splits
+    names: tuple[str, ...] = ()  # of all splits, where each has a file of its own
     box: Box | None = None
-    photographs: bool = False
-    points: NDArray[Any] | None = None
-    colours: NDArray[Any] | None = None
-    bounds: NDArray[Any] | None = None
-    half: float | None = None
-    factor: int = 1
-    passed_over: int = 0
+    photographs: bool = False  # whether the world's up direction and scale are arbitrary
+    points: NDArray[Any] | None = None  # [N, 3] float64
+    colours: NDArray[Any] | None = None  # [N, 3] uint8
+    bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
+    half_extent: float | None = None  # half the side of the cube around the origin that the scene fills; None if not given
+    factor: int = 1  # by which the images are still to be reduced along each side
+    skipped_frames: int = 0  # frames that have no image
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:
-    """The point [3] nearest to all optical axes in the least-squares sense, and whether there is one: cameras that all look the
-    same way have none, and it lies in front of them, as far away as twice their spread."""
+    """The point [3] that the cameras look at, float64, and whether their optical axes determine it.
+
+    It is the point with the least sum of squared distances to the optical axes. Where the axes are parallel, it lies on their mean
+    direction, at twice the largest distance of a camera from the mean position.
+    """
     positions = np.stack([c.position for c in cameras])
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -146,14 +138,17 @@ def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:
 
 
 def focus_box(cameras: tuple[Camera, ...]) -> Box:
-    """A cube around what the cameras look at (see `focus`), as wide there as the median view of it."""
+    """An axis-aligned cube around the point that the cameras look at (see `focus`), as wide as the median view is there.
+
+    Raises SnergError when the cameras stand in that point.
+    """
     centre, _ = focus(cameras)
-    halves = []
+    half_widths = []
     for camera in cameras:
-        widest = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
+        tangent = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
         distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position - centre))
-        halves.append(widest * distance)
-    half = float(np.median(halves))
+        half_widths.append(tangent * distance)
+    half = float(np.median(half_widths))
     if not (math.isfinite(half) and half > 0):
         raise SnergError("The cameras stand in the point that they look at; check their poses.")
     return Box.axis_aligned(centre - half, centre + half)

@@ -1,4 +1,4 @@
-"""What the readers share: finding images in a capture's folder, and scaling intrinsics to them."""
+"""Finds the images of a capture in its folder, and scales intrinsics to the size of an image."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from typing import Any
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
-from ..io.files import inside
+from ..io.paths import inside
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".exr", ".webp", ".tif", ".tiff", ".bmp")
 
 
 def find_image(root: Path, name: str, where: str) -> Path | None:
-    """The image that `name` means, with or without its suffix, or None. Raises SnergError where it leaves `root` (hard case 62)."""
+    """The image `name` in `root`, given with or without its suffix; None when there is none.
+
+    Raises SnergError when it is outside `root`, so that a dataset cannot name others' files (hard case 62).
+    """
     name = name.replace("\\", "/")
     for suffix in ("", *SUFFIXES):
         candidate = inside(root, name + suffix, where)
@@ -26,9 +29,10 @@ def find_image(root: Path, name: str, where: str) -> Path | None:
 
 
 def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **camera: Any) -> Camera:
-    """A camera whose intrinsics are those of a picture of `given` (width, height), for the same picture at `size` pixels.
+    """The camera of an image of `size` (width, height) pixels, from intrinsics for the same image at `given` (width, height).
 
-    Raises SnergError when the one is not a scaled copy of the other, such as one that was turned.
+    camera: the other arguments of Camera. where: the start of error messages. Raises SnergError when the two sizes are not in the
+    same proportion, as when the image was rotated or cropped.
     """
     (width, height), (w, h) = size, given
     if not (math.isfinite(w) and math.isfinite(h) and w > 0 and h > 0):
@@ -43,10 +47,10 @@ def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **c
 
 
 def image_folder(root: Path, downscale: int, where: str) -> tuple[Path, int]:
-    """The folder to take images from, and how many times smaller they are still to be made.
+    """The folder to read images from, and the factor by which they are still to be reduced.
 
-    images_<n> holds pictures made n times smaller. The one asked for is used where it is there, else the smallest that the rest
-    can be made of, else the largest there is. Raises SnergError when there is no such folder.
+    images_<n> holds images reduced by n. The folder is the one with the largest n that divides `downscale`; if there is none, the one
+    with the smallest n, whose images are not reduced further. Raises SnergError when there is no such folder.
     """
     there = dict(sorted(_folders(root, where)))
     fitting = [n for n in there if downscale % n == 0]
@@ -65,6 +69,6 @@ def _folders(root: Path, where: str) -> Iterator[tuple[int, Path]]:
 
 
 def images_in(folder: Path, where: str) -> list[Path]:
-    """The pictures of a folder by name. Raises SnergError where one is a link that leaves it (hard case 62)."""
+    """The images of a folder, sorted by name. Raises SnergError when one is a link to a file outside the folder (hard case 62)."""
     names = sorted(p.name for p in folder.iterdir() if PurePosixPath(p.name).suffix in SUFFIXES and not p.name.startswith("."))
     return [inside(folder, name, where) for name in names]

@@ -1,16 +1,18 @@
-"""Opening a dataset: finding the reader that knows it, its splits, and its world set upright."""
+"""Reads a dataset: finds the reader of its format, orients its world, and selects a split."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.guard import reading
-from .dataset import HELD_OUT, Dataset, DatasetOptions, Source
+from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
 from .orient import orient
 from .readers import colmap, llff, transforms
 
@@ -18,46 +20,61 @@ DEFAULT_OPTIONS = DatasetOptions()
 
 
 def read_dataset(path: str | os.PathLike[str], split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
-    """Open a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
+    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
 
-    Raises SnergError when there is no such dataset or split, or an image, pose or lens is missing or makes no sense.
+    Reads the header of each image, not its pixels. Raises SnergError when there is no such dataset or split, or an image, pose or lens
+    is missing or invalid.
     """
     with reading(Path(path), "write it again", f"The dataset {path}"):
         return _read_dataset(Path(path), split, options)
 
 
+def read_split(dataset: Dataset, split: str) -> Dataset:
+    """Another split of the capture that `dataset` is a split of. Nothing that was read for `dataset` is read again.
+
+    Raises SnergError as `read_dataset` does.
+    """
+    source = dataset.source
+    if source is None or (source.splits is not None and split not in source.splits):
+        return read_dataset(dataset.root, split, dataset.options)  # it has a file of its own, or there is no such split
+    return _dataset(source, split, dataset.options, dataset.source_to_world)
+
+
 def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
     source = read_source(path, split, options)
+    _split(source, split, options)  # before it is oriented, which needs several views
+    source, similarity = orient(source) if source.photographs else (source, np.eye(4))
+    return _dataset(source, split, options, similarity)
+
+
+def _dataset(source: Source, split: str, options: DatasetOptions, similarity: NDArray[Any]) -> Dataset:
+    """One split of a source that stands upright; similarity [4, 4] took it there from the source's own world."""
     chosen, names = _split(source, split, options)
-    if split == "train" and len(chosen) < 2:
-        raise SnergError(f"The dataset {path} has {len(chosen)} image to train on; a scene needs several, from different places.")
-    if source.photographs:
-        source, similarity = orient(source)
-    else:
-        similarity = np.eye(4)
-    views = []
-    for view in (source.views[i] for i in chosen):
-        views.append(replace(view, camera=view.camera.reduced(source.factor), factor=source.factor))
-    bounds = source.bounds[chosen] if source.bounds is not None else None
     return Dataset(
         root=source.root,
         split=split,
-        views=tuple(views),
+        views=tuple(_reduced(source.views[i], source.factor) for i in chosen),
         box=source.box,
         points=source.points,
         colours=source.colours,
-        bounds=bounds,
+        bounds=source.bounds[chosen] if source.bounds is not None else None,
         source_to_world=similarity,
         options=options,
         kind=source.kind,
         split_names=names,
-        passed_over=source.passed_over,
+        skipped_frames=source.skipped_frames,
+        source=source,
     )
 
 
-def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
-    """Whatever is at `path`, read by the reader that knows it. Raises SnergError as `read_dataset` does."""
+def _reduced(view: View, factor: int) -> View:
+    """A reader's view, whose camera has its image's size, with the pixels that training sees."""
+    camera = view.camera
+    return replace(view, camera=camera.reduced(factor), factor=factor, image_size=(camera.width, camera.height))
 
+
+def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
+    """What the reader of its format finds at `path`. Raises SnergError as `read_dataset` does."""
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
     if transforms.is_transforms(path):
@@ -72,7 +89,7 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
 
 
 def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
-    """The numbers of a split's views, and the names of all splits. Raises SnergError that lists the splits there are."""
+    """The indices of a split's views, and the names of all splits. Raises SnergError that lists the splits, or for too few views."""
     everything = range(len(source.views))
     if source.splits is not None:
         splits, names = source.splits, source.names or tuple(source.splits)
@@ -84,4 +101,8 @@ def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[in
         splits, names = {"train": list(everything)}, ("train",)
     if not splits.get(split):
         raise SnergError(f"The dataset {source.root} has no split {split!r}; it has the splits {', '.join(sorted(names))}.")
+    if split == "train" and len(splits[split]) < 2:
+        raise SnergError(
+            f"The dataset {source.root} has {len(splits[split])} image to train on; a scene needs several, from different places."
+        )
     return splits[split], tuple(sorted(names, key=lambda n: n != "train"))

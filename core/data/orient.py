@@ -1,4 +1,7 @@
-"""Photographs have no up and no scale: setting them upright, near the origin, at a size that can be worked with in Blender."""
+"""Orients a capture of photographs: z up, what the cameras look at in the origin, and at a scale that suits Blender.
+
+Structure from motion finds camera poses up to a similarity, so that the up direction and the scale of its world are arbitrary.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,20 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from .dataset import Source, focus
 
-DISTANCE = 4.0  # world units from the cameras to what they look at, as in NeRF-synthetic
-FARTHEST = 2 * DISTANCE  # what lies farther than this from there along an axis is not in the box
-OUTLIERS = (2.0, 98.0)  # percentiles of the points' coordinates that the box spans
-MARGIN = 0.05  # of that span, added on each side
-FORWARD = 0.9  # length of the mean of unit view directions above which cameras look the same way
-AGREE = 0.5  # length of the mean of unit up directions below which they say nothing
+DISTANCE = 4.0  # median distance in world units from a camera to what the cameras look at, as in NeRF-synthetic
+FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis
+OUTLIERS = (2.0, 98.0)  # percentiles of the points' coordinates between which the box spans; the others are outliers
+MARGIN = 0.05  # added to the box on each side, as a part of its span
+FORWARD = 0.9  # the cameras are forward-facing if the mean of their unit view directions is longer than this
+AGREE = 0.5  # the cameras' up directions are used if the mean of these unit vectors is longer than this
 
 
 def orient(source: Source) -> tuple[Source, NDArray[Any]]:
-    """The source in a world whose z is up and whose origin is what the cameras look at, with a box, and the similarity
-    [4, 4] that maps the old world to it.
+    """The source moved to a world with z up and the point that the cameras look at in the origin, with a box; and the similarity
+    [4, 4] from the old world to the new one.
 
-    The mean direction of view is +y, or the first camera's where the cameras stand all round. Raises SnergError when all
-    photographs were taken from one place.
+    +y is the mean view direction, or the first camera's where the cameras surround the scene. Raises SnergError when all photographs
+    were taken from one place.
     """
     cameras = tuple(view.camera for view in source.views)
     centre = looked_at(cameras, source.points, source.bounds)
@@ -51,12 +54,12 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
 
 
 def upward(cameras: Sequence[Camera]) -> NDArray[Any]:
-    """Where up is, unit [3].
+    """The up direction, a unit vector [3].
 
-    People hold cameras level: up is what all pictures' horizontals are square to, on the side of the pictures' own mean up.
-    The mean alone would lean towards a capture's side where it does not go all round. Horizontals that are all alike leave the
-    mean; where the pictures do not agree on an up, it is the direction in which the cameras' positions spread least, on the
-    side from which they look down.
+    Photographers hold cameras level, so that up is the direction most nearly perpendicular to all cameras' x axes, with the sign of
+    the cameras' mean up. The mean itself would be tilted where the cameras do not surround the scene; it is used where the x axes are
+    all alike. Where the cameras' up directions disagree, up is the direction of least variance of their positions, with the sign that
+    lets the cameras look down.
     """
     right, ups, back = (np.stack([c.camera_to_world[:3, i] for c in cameras]) for i in range(3))
     mean = ups.mean(axis=0)
@@ -64,20 +67,20 @@ def upward(cameras: Sequence[Camera]) -> NDArray[Any]:
         positions = np.stack([c.position for c in cameras])
         flat = np.linalg.eigh(np.cov(positions.T))[1][:, 0]
         side = flat @ back.mean(axis=0) or flat @ mean
-        return flat if side >= 0 else -flat
+        return np.asarray(flat if side >= 0 else -flat)
     mean /= np.linalg.norm(mean)
     weights, up = np.ones(len(right)), mean
-    for _ in range(10):  # reweighted, so that a few pictures that were turned do not count
+    for _ in range(10):  # reweighted least squares: a few images that were rotated have little weight
         spread, axes = np.linalg.eigh((right * weights[:, None]).T @ right / weights.sum())
         if spread[1] < 0.05:
-            return mean
+            return np.asarray(mean)
         up = axes[:, 0] * (1 if axes[:, 0] @ mean >= 0 else -1)
         weights = 1 / (np.abs(right @ up) + 0.05)
-    return up if up @ mean > 0.6 else mean
+    return np.asarray(up if up @ mean > 0.6 else mean)
 
 
 def upright(up: NDArray[Any], axes: NDArray[Any]) -> NDArray[Any]:
-    """[3, 3] rotation that takes `up` to z, and the mean of the view directions `axes` [N, 3] to +y as far as it is level."""
+    """The rotation [3, 3] that takes `up` to z and the horizontal part of the mean of the view directions `axes` [N, 3] to +y."""
     level = axes - np.outer(axes @ up, up)
     mean = level.mean(axis=0)
     ahead = mean if np.linalg.norm(mean) > 0.3 else level[np.argmax(np.linalg.norm(level, axis=-1) > 0.3)]
@@ -89,8 +92,11 @@ def upright(up: NDArray[Any], axes: NDArray[Any]) -> NDArray[Any]:
 
 
 def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: NDArray[Any] | None) -> NDArray[Any]:
-    """The point [3] that the capture is about: where the axes meet, or for cameras that look the same way, in front of them in
-    the depth that most of the points have, or that halves the range of disparity."""
+    """The point [3] that the cameras look at, float64.
+
+    It is nearest to their optical axes (see `focus`); for forward-facing cameras it lies in front of them, at the median depth of
+    the points, or at the mean disparity of the median bounds [V, 2].
+    """
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     mean = axes.mean(axis=0)
     if np.linalg.norm(mean) < FORWARD or (points is None and bounds is None):
@@ -99,22 +105,21 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
     position = np.mean([c.position for c in cameras], axis=0)
     if points is not None and ((points - position) @ mean > 0).any():
         depth = (points - position) @ mean
-        return position + mean * np.median(depth[depth > 0])
+        return np.asarray(position + mean * np.median(depth[depth > 0]))
     if bounds is None:
         return focus(cameras)[0]
     near, far = np.median(bounds, axis=0)
-    return position + mean * (2 / (1 / near + 1 / far))
+    return np.asarray(position + mean * (2 / (1 / near + 1 / far)))
 
 
 def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
-    """The box of what must be explained, world axes.
+    """The box that training must explain, axis-aligned. origin: [3] the source's origin in the new world; scale: new units per old.
 
-    From the cube that instant-ngp was told of, else from the points without outliers, else from the views between their nearest
-    and farthest depth; without any of these a cube that holds the cameras. Nothing beyond FARTHEST from the origin is in it,
-    but for the first.
+    From the source's half extent (instant-ngp's aabb_scale), else from the points without outliers, else from the cameras' frustums
+    between their nearest and farthest depth, else a cube that contains most cameras. All but the first are clipped at FARTHEST.
     """
-    if source.half is not None:
-        return Box.axis_aligned(origin - source.half * scale, origin + source.half * scale)
+    if source.half_extent is not None:
+        return Box.axis_aligned(origin - source.half_extent * scale, origin + source.half_extent * scale)
     cameras = [view.camera for view in source.views]
     if source.points is not None and len(source.points) >= 10:
         low, high = np.percentile(source.points.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
@@ -130,7 +135,7 @@ def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
 
 
 def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
-    """[8, 3] the corners of what a camera sees between two depths."""
+    """The corners [8, 3] of a camera's frustum between two depths, in world units."""
     edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
     origins, directions = camera.rays(edge)
     along = directions @ -camera.camera_to_world[:3, 2]

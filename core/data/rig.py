@@ -1,4 +1,4 @@
-"""Cameras spread evenly round a box, for scenes that have no cameras of their own."""
+"""A rig of cameras spread evenly around a box, for Blender scenes without cameras of their own."""
 
 from __future__ import annotations
 
@@ -14,29 +14,25 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera, focal_from_angle
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
-LOWEST = 0.02  # sine of the lowest elevation in a hemisphere: none looks along the ground exactly
-MARGIN = 1.05  # distance, against the one at which the box's corners touch the picture's edge
+MIN_ELEVATION_SINE = 0.02  # of a camera in a hemisphere, so that none looks exactly along the ground
+MARGIN = 1.05  # distance relative to that at which the box's circumscribed sphere touches the image's border
 
 
 @dataclass(frozen=True)
 class RigSettings:
-    """count: cameras. hemisphere: only from above the box's centre (world z up), or from all round.
+    """The number and the arrangement of a rig's cameras."""
 
-    angle: field of view across the picture's shorter side, radians. distance: from the box's centre, world
-    units; 0 chooses the one at which the whole box just fits.
-    """
-
-    count: int = 100
-    hemisphere: bool = True
-    angle: float = math.radians(40)
-    distance: float = 0.0
+    count: int = 100  # cameras
+    hemisphere: bool = True  # only above the box's centre (world z up), else on the whole sphere
+    angle: float = math.radians(40)  # field of view across the image's shorter side, radians
+    distance: float = 0.0  # from the box's centre, world units; 0: the smallest at which the whole box is visible
 
 
 def directions(count: int, hemisphere: bool) -> NDArray[Any]:
-    """[count, 3] unit vectors spread evenly (Fibonacci lattice), z from the top down."""
+    """Unit vectors [count, 3] spread evenly (Fibonacci lattice), in order of decreasing z. Raises SnergError when count is below 1."""
     if count < 1:
         raise SnergError(f"The rig has {count} cameras; it needs at least 1.")
-    lowest = LOWEST if hemisphere else -1.0
+    lowest = MIN_ELEVATION_SINE if hemisphere else -1.0
     z = 1 - (np.arange(count) + 0.5) / count * (1 - lowest)
     around = GOLDEN_ANGLE * np.arange(count)
     radius = np.sqrt(1 - z * z)
@@ -44,7 +40,7 @@ def directions(count: int, hemisphere: bool) -> NDArray[Any]:
 
 
 def look_at(position: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
-    """[4, 4] camera-to-world at `position` [3] that looks at `target` [3] with world z upwards in the picture."""
+    """The camera-to-world matrix [4, 4] of a camera at `position` [3] that looks at `target` [3], with world z up in the image."""
     back = position - target
     back = back / np.linalg.norm(back)
     up = np.array([0.0, 1.0, 0.0]) if abs(back[2]) > 0.9999 else np.array([0.0, 0.0, 1.0])

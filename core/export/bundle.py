@@ -16,7 +16,8 @@ from typing import Any
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
-from ..io.files import MARK, json_bytes, new_folder, one_generation, read_json
+from ..io.files import MARK, json_bytes, new_folder, read_json
+from ..io.generation import one_generation
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings

@@ -15,7 +15,7 @@ from ..errors import SnergError
 from ..io.files import write_bytes
 from ..io.images import srgb_to_linear
 from ..progress import Progress, silent
-from ..scene.blocks import DATA_VOXELS, places_of
+from ..scene.blocks import DATA_VOXELS, block_coordinates
 from ..scene.scene import Scene
 
 SOLID = 1 - 0.5 / 255  # the opacity that an opaque voxel has: that of 1 asks for an infinite density
@@ -74,7 +74,7 @@ def voxel_transform(scene: Scene) -> NDArray[Any]:
 
 def blocks(scene: Scene) -> Iterator[tuple[tuple[int, int, int], NDArray[Any], NDArray[Any]]]:
     """Of each block with a cell its first voxel, densities [30, 30, 30] float32 and straight colours [30, 30, 30, 3] float32."""
-    for place, cell in zip(places_of(scene.indirection), scene.cells, strict=True):
+    for place, cell in zip(block_coordinates(scene.indirection), scene.cells, strict=True):
         values = cell[1:-1, 1:-1, 1:-1].astype(np.float32) / np.float32(scene.unit)
         x, y, z = (int(n) * DATA_VOXELS for n in place)
         yield (x, y, z), density_of(values[..., -1], scene.voxel_size), straight_colour(values)

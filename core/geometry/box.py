@@ -1,4 +1,4 @@
-"""The box that the artist drags, and the voxel lattice inside it."""
+"""The oriented box that is trained or baked."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from ..errors import SnergError
 from ..io.files import read_json
 from .camera import rigid
 
-SHEAR = 1e-4  # cosine between two sides of a box: what rounding leaves in Blender's float32 matrices stays below
+MAX_SHEAR = 1e-4  # largest cosine between two sides of a box; rounding in Blender's float32 matrices gives less
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """An oriented box: `box_to_world` [4, 4] float64 rigid, origin at the centre; `size` [3] world units.
+    """An oriented box. Raises SnergError when a side is not finite and above 0, or the pose is invalid."""
 
-    Raises SnergError when a side is not finite and above 0.
-    """
-
-    box_to_world: NDArray[Any]
-    size: NDArray[Any]
+    box_to_world: NDArray[Any]  # [4, 4] float64, rigid, origin at the box's centre
+    size: NDArray[Any]  # [3] float64, world units
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "box_to_world", rigid(self.box_to_world, "The box"))
@@ -35,7 +32,7 @@ class Box:
 
     @classmethod
     def axis_aligned(cls, low: Any, high: Any) -> Box:
-        """The box between two corners [3] in world axes."""
+        """The box in world axes with the corners `low` [3] and `high` [3]."""
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         pose = np.eye(4)
         pose[:3, 3] = (low + high) / 2
@@ -43,7 +40,10 @@ class Box:
 
     @classmethod
     def from_matrix(cls, matrix: NDArray[Any]) -> Box:
-        """The image of the cube [-1, 1]^3 under a [4, 4] matrix: how Blender draws a cube empty of display size 1."""
+        """The cube [-1, 1]^3 transformed by a matrix [4, 4], as Blender draws a cube empty of display size 1.
+
+        Raises SnergError when the matrix is not finite, singular or sheared.
+        """
         matrix = np.asarray(matrix, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise SnergError("The box has a matrix that is not a finite 4 x 4; reset its transform.")
@@ -51,10 +51,10 @@ class Box:
         if lengths.min() < 1e-12:
             raise SnergError("The box has no volume; scale it above 0 on all three axes.")
         cosines = (matrix[:3, :3] / lengths).T @ (matrix[:3, :3] / lengths) - np.eye(3)
-        if np.abs(cosines).max() > SHEAR:
+        if np.abs(cosines).max() > MAX_SHEAR:
             raise SnergError("The box is sheared by a parent that is turned and scaled unevenly; apply the parent's scale, or clear it.")
         pose = matrix.copy()
-        if np.linalg.det(pose[:3, :3]) < 0:  # a mirrored box is the same box with one axis turned round
+        if np.linalg.det(pose[:3, :3]) < 0:  # a box is symmetric: mirrored, it is the same box with one axis reversed
             pose[:3, 0] *= -1
         return cls(pose, 2 * lengths)
 
@@ -64,7 +64,10 @@ class Box:
 
     @classmethod
     def from_json(cls, value: Any, where: str = "The box") -> Box:
-        """From `to_json`, from {"matrix": 4 rows} (see `from_matrix`) or from {"min": [3], "max": [3]}."""
+        """From the result of `to_json`, {"matrix": 4 rows} (see `from_matrix`) or {"min": [3], "max": [3]}.
+
+        Raises SnergError, which begins with `where`, for anything else.
+        """
         try:
             if "matrix" in value:
                 return cls.from_matrix(np.array(value["matrix"], np.float64))
@@ -73,20 +76,20 @@ class Box:
             return cls(np.array(value["box_to_world"], np.float64), np.array(value["size"], np.float64))
         except SnergError:
             raise
-        except Exception as error:  # whatever a value of another kind raises
+        except Exception as error:  # a value of another type may raise any exception
             raise SnergError(f'{where} is not a box: it needs "min" and "max", or "box_to_world" and "size", or "matrix".') from error
 
     @classmethod
     def read(cls, path: Path) -> Box:
-        """A box from a JSON file. Raises SnergError on anything that is not one."""
+        """The box in a JSON file (see `from_json`). Raises SnergError when it holds none."""
         return cls.from_json(read_json(path), str(path))
 
     def contains(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] world points to [N] bool."""
+        """Whether world points [N, 3] lie in the box, bool [N]."""
         local = (points - self.box_to_world[:3, 3]) @ self.box_to_world[:3, :3]
-        return (np.abs(local) <= self.size / 2).all(axis=-1)
+        return np.asarray((np.abs(local) <= self.size / 2).all(axis=-1))
 
     def corners(self) -> NDArray[Any]:
-        """[8, 3] world units."""
+        """The corners [8, 3] in world units."""
         signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1).reshape(8, 3)
-        return (signs * self.size / 2) @ self.box_to_world[:3, :3].T + self.box_to_world[:3, 3]
+        return np.asarray((signs * self.size / 2) @ self.box_to_world[:3, :3].T + self.box_to_world[:3, 3])

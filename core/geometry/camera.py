@@ -19,31 +19,25 @@ from ..io.schema import FAR, text
 from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
-MAX_PIXELS = 2**28  # of a picture; beyond, its rays fill the memory
+MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole or parallel camera, the pinhole with a lens if it has one.
+    """A perspective camera, with lens distortion if it has any, or an orthographic one.
 
-    width, height: pixels.
-    focal: (x, y) in pixels; for an orthographic camera, pixels per world unit.
-    centre: (x, y) principal point in pixels from the top left corner.
-    camera_to_world: [4, 4] float64, rigid (see `rigid`).
-    projection: 'perspective' or 'orthographic'.
-    near: distance along the ray, in world units, before which nothing is seen.
-    distortion: of the lens, None for an ideal one.
+    Raises SnergError when a value is out of range or not finite.
     """
 
-    width: int
-    height: int
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    camera_to_world: NDArray[Any]
-    projection: str = "perspective"
+    width: int  # pixels
+    height: int  # pixels
+    focal: tuple[float, float]  # (x, y) in pixels; of an orthographic camera, pixels per world unit
+    centre: tuple[float, float]  # (x, y) principal point in pixels from the top left corner
+    camera_to_world: NDArray[Any]  # [4, 4] float64, rigid (see `rigid`)
+    projection: str = "perspective"  # or 'orthographic'
     name: str = ""
-    near: float = 0.0
-    distortion: Distortion | None = None
+    near: float = 0.0  # distance along the ray, in world units, before which nothing is visible
+    distortion: Distortion | None = None  # of the lens; None for an ideal one
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -68,7 +62,7 @@ class Camera:
         return self.camera_to_world[:3, 3]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same view on another number of pixels."""
+        """The same view at another resolution in pixels."""
         sx, sy = width / self.width, height / self.height
         return replace(
             self,
@@ -79,9 +73,9 @@ class Camera:
         )
 
     def rays(self, pixels: NDArray[Any] | None = None) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Origins and unit directions through pixel centres, world axes, float64.
+        """The rays through pixel centres: origins [N, 3] and unit directions [N, 3], world axes, float64.
 
-        pixels: [N, 2] (column, row) integers; all pixels, row by row, when None. Returns ([N, 3], [N, 3]).
+        pixels: [N, 2] (column, row) integers; all pixels, row by row, when None.
         """
         pixels = self.pixels() if pixels is None else pixels
         flat = self._normalised(pixels)
@@ -97,23 +91,23 @@ class Camera:
         return np.broadcast_to(position, directions.shape).copy(), directions
 
     def pixels(self) -> NDArray[Any]:
-        """[H * W, 2] (column, row) of every pixel, row by row."""
+        """(column, row) of every pixel, row by row, int [H * W, 2]."""
         rows, columns = np.mgrid[0 : self.height, 0 : self.width]
         return np.stack([columns.ravel(), rows.ravel()], axis=-1)
 
-    def sees(self) -> NDArray[Any] | None:
-        """[H, W] bool: the pixels that the lens's model says something about (see Distortion); None where that is all."""
+    def valid_pixels(self) -> NDArray[Any] | None:
+        """The pixels for which the distortion model is valid (see Distortion.is_valid), bool [H, W]; None if it is valid for all."""
         if self.distortion is None:
             return None
         across, down = np.arange(self.width), np.arange(self.height)
         edges = [np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in ((across, 0), (across, self.height - 1))]
         edges += [np.stack(np.broadcast_arrays(x, down), axis=-1) for x in (0, self.width - 1)]
-        if self.distortion.sees(self._normalised(np.concatenate(edges))).all():
-            return None  # what a lens sees has no holes
-        return self.distortion.sees(self._normalised(self.pixels())).reshape(self.height, self.width)
+        if self.distortion.is_valid(self._normalised(np.concatenate(edges))).all():
+            return None  # the valid region has no holes, so that its border decides
+        return self.distortion.is_valid(self._normalised(self.pixels())).reshape(self.height, self.width)
 
     def reduced(self, factor: int) -> Camera:
-        """The same view with squares of `factor` x `factor` pixels made one, as `images.reduced` makes them."""
+        """The camera of an image reduced by `factor` (see images.reduced). Raises SnergError when no pixel is left."""
         if factor == 1:
             return self
         width, height = self.width // factor, self.height // factor
@@ -126,14 +120,14 @@ class Camera:
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
     def moved(self, similarity: NDArray[Any]) -> Camera:
-        """The camera in a world that [4, 4] `similarity` maps this one to; its near plane moves along."""
+        """The camera transformed by a similarity [4, 4] to another world; its near distance is scaled as well."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
         focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
         return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, focal=focal)
 
     def _normalised(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """Pixels [N, 2] to where their centres lie at depth 1, x right, y down."""
-        return (pixels + 0.5 - np.array(self.centre)) / np.array(self.focal)
+        """Pixels (column, row) [N, 2] to normalised image coordinates [N, 2] of their centres: at depth 1, x right, y down."""
+        return np.asarray((pixels + 0.5 - np.array(self.centre)) / np.array(self.focal))
 
     def project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
@@ -146,19 +140,19 @@ class Camera:
         return np.array(self.centre) + np.array(self.focal) * flat, depth
 
     def shows(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N] bool: which world points [N, 3] are in the picture, whatever is in front of them."""
+        """Whether world points [N, 3] lie in the camera's frustum, bool [N]. Occlusion is not considered."""
         pixels, depth = self.project(points)
-        return (depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1)
+        return np.asarray((depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1))
 
     def toward(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Unit directions [N, 3] in which world points [N, 3] are seen, float64; any where a point is the camera's own place."""
+        """View directions of world points [N, 3], unit vectors [N, 3] float64; undefined for a point at the camera's position."""
         if self.projection == "orthographic":
             return np.broadcast_to(-self.camera_to_world[:3, 2], points.shape).copy()
-        way = points - self.position
-        return way / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+        offset = points - self.position
+        return np.asarray(offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-12))
 
     def to_json(self) -> dict[str, Any]:
-        """All of the camera as JSON values, for `from_json`."""
+        """The camera as JSON values, for `from_json`."""
         return {
             "name": self.name,
             "projection": self.projection,
@@ -173,7 +167,7 @@ class Camera:
 
     @classmethod
     def from_json(cls, value: Any) -> Camera:
-        """Undo `to_json`. Raises SnergError on anything else."""
+        """A camera from the result of `to_json`. Raises SnergError when a value is missing or out of range."""
         try:
             focal, centre = value["focal"], value["centre"]
             return cls(
@@ -194,9 +188,9 @@ class Camera:
 
 
 def focal_from_angle(angle: float, pixels: int, where: str) -> float:
-    """Focal length in pixels of a field of view in radians.
+    """Focal length in pixels of a field of view in radians across `pixels`.
 
-    Raises SnergError unless 0 < angle < pi (hard case 4).
+    Raises SnergError unless 0 < angle < pi, where the focal length is finite and above 0 (hard case 4).
     """
     if not (math.isfinite(angle) and 1e-6 < angle < math.pi - 1e-6):
         raise SnergError(f"{where} has a field of view of {angle} radians; it must lie between 0 and pi.")
@@ -204,9 +198,10 @@ def focal_from_angle(angle: float, pixels: int, where: str) -> float:
 
 
 def rigid(matrix: NDArray[Any], where: str) -> NDArray[Any]:
-    """[4, 4] pose with the scale taken out of its axes, float64 (hard case 5).
+    """The rigid pose [4, 4] float64 nearest to `matrix` [4, 4] or [3, 4]: without scale and shear (hard case 5: scaled cameras).
 
-    Raises SnergError when the matrix is not finite, is flat, or mirrors.
+    The rotation is the polar factor of the normalised axes (by SVD). Raises SnergError when the matrix is not finite, singular, or
+    contains a reflection.
     """
     matrix = np.array(matrix, dtype=np.float64)
     if matrix.shape == (3, 4):

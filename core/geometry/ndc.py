@@ -1,7 +1,7 @@
-"""Normalised device coordinates, in which a forward-facing scene fits a box although it reaches to infinity (NeRF, appendix C).
+"""Normalised device coordinates (NDC), in which an unbounded forward-facing scene fits into a box (Mildenhall et al. 2020, appendix C).
 
-Space: what a field and its scene are laid out in, the world itself or its NDC. Straight lines stay straight in NDC, so
-that only rays are mapped; all that follows is the same in both.
+'Space' is where a field and its scene are defined: the world, or NDC. Straight lines stay straight in NDC, so that mapping the rays
+is enough, and everything after that is the same in both.
 """
 
 from __future__ import annotations
@@ -16,23 +16,21 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from .camera import rigid
 
-PARALLEL = 1e-6  # rays whose direction has less of the axis than this never reach the depths that NDC are about
-NEAREST = 1e-9  # smallest z / near, and smallest 1 - z', that are told from 0
-BEYOND = np.array([0.0, 0.0, 2.0])  # where rays begin that miss: past infinity, on their way out
+PARALLEL_EPSILON = 1e-6  # smallest component of a unit direction along the view axis; rays below it never reach the near plane
+DEPTH_EPSILON = 1e-9  # lower bound of z / near and of 1 - z', which are divisors
+MISS_ORIGIN = np.array([0.0, 0.0, 2.0])  # origin in NDC of rays that miss: beyond infinity (z' = 1), and they point away from it
 
 
 @dataclass(frozen=True, eq=False)
 class Ndc:
-    """x' = -fx x / z, y' = -fy y / z, z' = 1 + 2 near / z in the axes of a camera that stands for all.
+    """NDC of one camera that stands for all: x' = -fx x / z, y' = -fy y / z, z' = 1 + 2 near / z, where x, y, z are in its axes.
 
-    camera_to_world: [4, 4] float64 rigid, looking down -z. focal: (fx, fy) divided by half the picture's width and height,
-    so that its edges are at x' = +-1 and y' = +-1. near: world units; depth `near` is z' = -1, infinity is z' = 1.
-    Raises SnergError when a value is not finite and above 0.
+    Depth `near` is z' = -1, infinity is z' = 1. Raises SnergError when a value is not finite and above 0.
     """
 
-    camera_to_world: NDArray[Any]
-    focal: tuple[float, float]
-    near: float
+    camera_to_world: NDArray[Any]  # [4, 4] float64, rigid, looking down -z
+    focal: tuple[float, float]  # (fx, fy) over half the image's width and height: its borders are x' = +-1 and y' = +-1
+    near: float  # world units
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera_to_world", rigid(self.camera_to_world, "The forward-facing frame"))
@@ -56,23 +54,23 @@ class Ndc:
         return cls(np.array(value["camera_to_world"], np.float64), (float(x), float(y)), float(value["near"]))
 
     def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] world to NDC, float64. Always finite: what is not in front of the camera comes out far below z' = -1."""
+        """World points [N, 3] to NDC, [N, 3] float64. Always finite: points behind the camera get a z' far below -1."""
         local = self._local(points)
-        return self._device(local[:, :2], np.minimum(local[:, 2], -NEAREST * self.near))
+        return self._device(local[:, :2], np.minimum(local[:, 2], -DEPTH_EPSILON * self.near))
 
     def to_world(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] NDC to the world, float64. Always finite: z' >= 1 comes out 2e9 times as far as near."""
+        """Points [N, 3] in NDC to the world, [N, 3] float64. Always finite: z' >= 1 gives the depth 2e9 near."""
         points = np.asarray(points, np.float64)
         z = self._depth(points[:, 2])
         local = np.stack([-points[:, 0] * z / self.focal[0], -points[:, 1] * z / self.focal[1], z], axis=-1)
-        return local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3]
+        return np.asarray(local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3])
 
     def rays(
         self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """See `space_rays`."""
+        """World rays (origins and unit directions [N, 3]) to rays in NDC with near and far [N]: see `space_rays`."""
         start, toward, alive = self._starts(origins, directions, near)
-        point = np.where(alive[:, None], self._device(start[:, :2], start[:, 2]), BEYOND)
+        point = np.where(alive[:, None], self._device(start[:, :2], start[:, 2]), MISS_ORIGIN)
         # The derivative of the device coordinates along the ray, times a positive number that leaves no division.
         along = toward[:, 2:] * point[:, :2] + np.array(self.focal) * toward[:, :2]
         direction = np.concatenate([along, -toward[:, 2:] * (1 - point[:, 2:])], axis=-1)
@@ -84,9 +82,9 @@ class Ndc:
     def distance(
         self, origins: NDArray[Any], directions: NDArray[Any], along: NDArray[Any], near: NDArray[Any] | float = 0.0
     ) -> NDArray[Any]:
-        """World distance [N] float64 along rays as given to `rays`, at distance `along` [N] on what `rays` made of them.
+        """World distances [N] float64 along world rays (origins, directions [N, 3]), given distances `along` [N] on the same rays in NDC.
 
-        Finite: infinity comes out as in `to_world`. Rays that miss give their own `near`.
+        Always finite, as in `to_world`. Rays that miss get their own `near`.
         """
         point, direction, _, _ = self.rays(origins, directions, near)
         _, toward, alive = self._starts(origins, directions, near)
@@ -94,27 +92,30 @@ class Ndc:
         return np.where(alive, (z - self._local(origins)[:, 2]) / toward[:, 2], near)
 
     def _local(self, points: NDArray[Any]) -> NDArray[Any]:
-        return (np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3]
+        return np.asarray((np.asarray(points, np.float64) - self.camera_to_world[:3, 3]) @ self.camera_to_world[:3, :3])
 
     def _device(self, xy: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
         """Camera axes to NDC; z < 0."""
         return np.concatenate([-np.array(self.focal) * xy / z[:, None], (1 + 2 * self.near / z)[:, None]], axis=-1)
 
     def _depth(self, z: NDArray[Any]) -> NDArray[Any]:
-        """z of the camera's axes where z' is the NDC."""
-        return -2 * self.near / np.maximum(1 - z, NEAREST)
+        """z in the camera's axes [N] from z' in NDC [N]."""
+        return -2 * self.near / np.maximum(1 - z, DEPTH_EPSILON)
 
     def _starts(
         self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Where rays begin [N, 3] and their directions [N, 3], camera axes, and which hit [N] bool; any point and the axis else."""
+        """Ray origins [N, 3] on or beyond the near plane, directions [N, 3], both in camera axes, and which rays hit, bool [N].
+
+        Rays that miss get an arbitrary origin and the view axis as direction.
+        """
         origin = self._local(origins)
         toward = np.asarray(directions, np.float64) @ self.camera_to_world[:3, :3]
-        alive = toward[:, 2] < -PARALLEL  # hard case 9: others are parallel to the near plane, or look away from it
+        alive = toward[:, 2] < -PARALLEL_EPSILON  # other rays are parallel to the near plane or point away from it (hard case 9)
         toward = np.where(alive[:, None], toward, [0.0, 0.0, -1.0])
         begin = np.maximum(near, (-self.near - origin[:, 2]) / toward[:, 2])
         start = origin + begin[:, None] * toward
-        start[:, 2] = np.minimum(start[:, 2], -self.near)  # rounding may leave it a little in front
+        start[:, 2] = np.minimum(start[:, 2], -self.near)  # rounding may put it in front of the near plane
         return np.where(alive[:, None], start, [0.0, 0.0, -self.near]), toward, alive
 
 
@@ -123,10 +124,10 @@ def space_rays(
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """World rays (origins and unit directions [N, 3], near [N] or a float >= 0) to (origins, unit directions, near, far) in space.
 
-    Without NDC they stay as they are, far is infinite. With NDC they begin at the near plane, or at `near` where that is
-    further, so that near is 0; far is where they reach infinity, z' = 1. Rays that run parallel to the near plane or away from
-    it are misses (hard case 9): far = near, and they begin outside every box that ends at z' = 1 or little after it, on their
-    way out, so that they meet none. All finite, float64.
+    Without NDC the rays are unchanged, and far is infinite. With NDC a ray begins at the near plane, or at `near` where that is
+    farther, so that its near is 0; its far is at infinity, z' = 1. A ray that is parallel to the near plane or points away from it
+    misses (hard case 9): its far equals its near, and it begins beyond every box that ends near z' = 1 and points away from it.
+    Returns [N, 3], [N, 3], [N], [N], float64, all finite but for far without NDC.
     """
     if ndc is not None:
         return ndc.rays(origins, directions, near)
@@ -137,5 +138,5 @@ def space_rays(
 def world_distance(
     ndc: Ndc | None, origins: NDArray[Any], directions: NDArray[Any], along: NDArray[Any], near: NDArray[Any] | float = 0.0
 ) -> NDArray[Any]:
-    """World distance [N] float64 at distance `along` [N] on what `space_rays` made of the same world rays."""
+    """World distances [N] float64 along world rays ([N, 3] each), given distances `along` [N] on the rays of `space_rays`."""
     return np.asarray(along, np.float64) if ndc is None else ndc.distance(origins, directions, along, near)

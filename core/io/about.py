@@ -1,6 +1,6 @@
-"""What a field and a baked scene know of themselves, checked as it is read: JSON values that later code counts on.
+"""Validation of the metadata of fields and scenes (`about`) when they are read: the JSON values that later code uses.
 
-All raise ValueError that names the value. Keys that nothing counts on may hold anything.
+All functions raise ValueError that names the value. Keys that no code uses may hold anything.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from typing import Any
 
 from .schema import number, record, text, whole
 
-MOST = 2**53  # of any count
+MAX_COUNT = 2**53  # largest integer up to which float64 is exact
 
 
-def check_about_field(about: Any) -> dict[str, Any]:
-    """A field's history and settings, as training keeps them."""
-    about = finite(record(about, "about"))
+def check_about_field(value: Any) -> dict[str, Any]:
+    """The metadata of a field: settings and results of its training."""
+    about = finite_record(value)
     for key in ("steps", "seconds", "psnr_training_rays", "psnr_held_out_rays"):
         if about.get(key) is not None:
             number(about[key], key)
@@ -25,9 +25,9 @@ def check_about_field(about: Any) -> dict[str, Any]:
     return about
 
 
-def check_about_scene(about: Any) -> dict[str, Any]:
-    """What a scene keeps of its training, its bake and its refining."""
-    about = finite(record(about, "about"))
+def check_about_scene(value: Any) -> dict[str, Any]:
+    """The metadata of a scene: its training, its bake and its fine-tuning."""
+    about = finite_record(value)
     trained = record(about.get("trained", {}), "trained")
     _check_trained(trained)
     check_background(trained.get("background", "white"))
@@ -38,13 +38,20 @@ def check_about_scene(about: Any) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """A JSON value without NaN and infinity, which no other JSON file could hold."""
+    """The value itself. Raises ValueError when it contains NaN or infinity, which cannot be written as JSON."""
     json.dumps(value, allow_nan=False)
     return value
 
 
+def finite_record(value: Any) -> dict[str, Any]:
+    """A JSON object without NaN and infinity."""
+    found = record(value, "about")
+    finite(found)
+    return found
+
+
 def check_background(value: Any) -> None:
-    """A colour's name, or three numbers from 0 to 1."""
+    """Raise ValueError unless the value is the name of a colour, or three numbers from 0 to 1."""
     if isinstance(value, list) and len(value) == 3:
         for part in value:
             number(part, "background", 0, 1)
@@ -58,7 +65,7 @@ def _check_trained(value: dict[str, Any]) -> None:
         raise ValueError(f"dataset_options has {sorted(map(str, options))[:4]}; it holds holdout and downscale")
     for key, low in (("holdout", 0), ("downscale", 1)):
         if key in options:
-            whole(options[key], key, low, MOST)
+            whole(options[key], key, low, MAX_COUNT)
     decisions = value.get("decisions", [])
     if not isinstance(decisions, list):
         raise ValueError("decisions is no list")
@@ -67,7 +74,7 @@ def _check_trained(value: dict[str, Any]) -> None:
 
 
 def _check_decision(value: dict[str, Any]) -> None:
-    """A Decision (see field/decide.py)."""
+    """A Decision (see training/decisions.py)."""
     if not {"effect", "chosen", "evidence"} <= value.keys() <= {"effect", "chosen", "evidence", "measured", "threshold", "overridden"}:
         raise ValueError("a decision needs an effect, what was chosen and the evidence, and no more than that")
     text(value["effect"], "effect")
@@ -86,19 +93,19 @@ def _check_bake(bake: dict[str, Any]) -> None:
     seconds = _check_seconds(bake)
     if bake.get("voxels"):
         voxels = record(bake["voxels"], "voxels")
-        whole(voxels.get("held"), "held", 0, MOST)
+        whole(voxels.get("held"), "held", 0, MAX_COUNT)
         if voxels.get("seen") is not None:
-            whole(voxels["seen"], "seen", 0, MOST)
+            whole(voxels["seen"], "seen", 0, MAX_COUNT)
             number(seconds.get("visibility"), "visibility")
             number(settings.get("visibility_threshold"), "visibility_threshold")
     if "samples" in bake:
-        whole(bake["samples"], "samples", 1, MOST)
+        whole(bake["samples"], "samples", 1, MAX_COUNT)
         number(seconds.get("prefilter"), "prefilter")
     measured = bake.get("samples_measured", [])
     if not isinstance(measured, list):
         raise ValueError("samples_measured is no list")
     for one in measured:
-        whole(record(one, "samples_measured").get("samples"), "samples", 1, MOST)
+        whole(record(one, "samples_measured").get("samples"), "samples", 1, MAX_COUNT)
         number(one.get("error"), "error")
     for key, parts in (("light", ("passes", "voxels")), ("holes", ("with", "without"))):
         if bake.get(key):

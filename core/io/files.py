@@ -1,4 +1,4 @@
-"""Files and folders that are either whole or not there (hard case 60), and JSON that says what is wrong."""
+"""Files and folders that are written whole or not at all, also after a kill or a power cut (hard case 60), and JSON."""
 
 from __future__ import annotations
 
@@ -14,37 +14,39 @@ import threading
 import time
 import uuid
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import Cancelled, SnergError
+from ..errors import SnergError
 from .guard import check_file, reading, why
 
-MAX_JSON_BYTES = 2**25  # 30,000 cameras with all that is told of them; parsed, JSON takes up to thirty times its bytes
-MARK = ".snerg"  # in every folder that we write, from its beginning: only what has it is ever replaced or deleted
+MAX_JSON_BYTES = 2**25  # about 30,000 cameras; parsed JSON takes up to thirty times its size in memory
+MARK = ".snerg"  # file in every folder that SNeRG writes, from the start: only folders that contain it are replaced or deleted
 MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
-HALF_MARK = re.compile(r"\.\.snerg\.[0-9a-f]{8}\.part")  # all that is in a folder of ours if its first write was killed
-ABANDONED = 3600  # seconds after which a half-written folder is nobody's: its process was killed
+HALF_MARK = re.compile(r"\.\.snerg\.[0-9a-f]{8}\.part")  # the only content of our folder if its process was killed while writing MARK
+ABANDONED = 3600  # seconds after which an unfinished folder is deleted: its process was killed
 SAVING = threading.RLock()
-"""Held while a result is put in its place or saved so that it is not lost: a process that is asked to stop waits for it."""
+"""Held while a result is swapped into its place or saved: a process that is asked to stop waits until it is released."""
 _unfinished: set[Path] = set()  # temporary folders that this process is filling
-REMOVING = 5  # times that a folder is deleted where threads go on writing in it
-AT_FDCWD, EXCHANGE = -100, 2  # of renameat2 (Linux) and renamex_np (macOS)
+REMOVE_ATTEMPTS = 5  # to delete a folder in which threads are still writing
+AT_FDCWD, EXCHANGE = -100, 2  # constants of the system calls renameat2 (Linux) and renamex_np (macOS)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """`data` as a file, whole or not at all. Raises SnergError as `new_file` does."""
+    """Write `data` to a file, whole or not at all. Raises SnergError as `new_file` does."""
     with new_file(path) as file:
         file.write(data)
 
 
 @contextlib.contextmanager
 def new_file(path: Path) -> Iterator[BinaryIO]:
-    """A file to write beside `path`, flushed to the disk and then swapped with it: the old file or the new one, never half of it.
+    """A temporary file beside `path` to write to; at the end it is flushed to the disk and replaces `path` in one step.
+
+    A reader of `path` gets the old file or the new one, never a part of it.
 
     Raises SnergError when the folder cannot be written or the disk is full.
     """
@@ -64,7 +66,7 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def _temporary(path: Path) -> Iterator[Path]:
-    """A folder beside `path` to write in, with our mark, that is gone afterwards; those that kills left are tidied first."""
+    """A temporary folder with MARK beside `path`, deleted at the end. Folders that killed processes left are cleaned up first."""
     _tidy(path)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
     _unfinished.add(temporary)
@@ -74,21 +76,21 @@ def _temporary(path: Path) -> Iterator[Path]:
         (temporary / MARK).write_text(MARK_TEXT)
         yield temporary
     finally:
-        _remove(temporary)  # half of a result, or the one that was there before
+        _remove(temporary)  # an unfinished result, or the previous one
         _unfinished.discard(temporary)
 
 
 def remove_unfinished() -> None:
-    """Delete what this process is writing: it ends, in the middle of it. Threads may still be writing there for a moment."""
+    """Delete the temporary folders of this process, which is about to end. Its threads may still be writing to them."""
     for folder in list(_unfinished):
-        for _ in range(REMOVING):
+        for _ in range(REMOVE_ATTEMPTS):
             _remove(folder)
             if not folder.exists():
                 break
 
 
 def _remove(folder: Path) -> None:
-    """Delete a temporary folder, the mark last: what a kill leaves of it is still known as ours."""
+    """Delete a temporary folder, MARK last, so that what remains after a kill is still recognised as ours."""
     with contextlib.suppress(OSError):
         for path in folder.iterdir():
             if path.is_dir() and not path.is_symlink():
@@ -101,36 +103,34 @@ def _remove(folder: Path) -> None:
             folder.rmdir()
 
 
-def check_own(path: Path) -> None:
-    """Raise SnergError unless `path` is a file itself: what a link points to may be somebody's secret, and must not be published."""
-    if path.is_symlink() or not path.is_file():
-        raise SnergError(f"{path} is a link or no file, and only files of the scene's own are published; put a copy of the file there.")
-
-
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Arrays as an .npz, whole or not at all, without a copy in memory. Raises SnergError as `new_file` does."""
-    with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves it open where the disk is full
+    """Write arrays of any shape as an uncompressed .npz, whole or not at all, without a copy in memory.
+
+    Raises SnergError as `new_file` does.
+    """
+    format: Any = np.lib.format  # NumPy gives its writer no types
+    with new_file(path) as file, zipfile.ZipFile(file, "w") as archive:  # np.savez leaves the file open when the disk is full
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as part:
-                np.lib.format.write_array(part, np.asarray(array), allow_pickle=False)
+                format.write_array(part, np.asarray(array), allow_pickle=False)
 
 
 def cannot_write(path: Path, error: OSError) -> SnergError:
-    """The sentence for a path that the system would not let us write."""
+    """The error for a path that cannot be written."""
     return SnergError(f"Cannot write {path} ({error.strerror or error}); choose a folder that you can write to, with space left.")
 
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill that takes the place of `path` at the end, whole, or not at all (hard case 60).
+    """A temporary folder to fill, which replaces `path` at the end, whole or not at all (hard case 60).
 
-    It is flushed to the disk and swapped with what is there in one step, so that whoever reads `path`, and whoever finds it
-    after a kill or a power cut, has the old folder or the new one. Where the system has no such step (Windows) there is an
-    instant without either; a folder lost in it is put back by the next export there.
-    Raises SnergError when the parent cannot be written, when the disk is full, or when `path` is a file, or a folder that
-    holds something other than what an earlier export left (so that `--out ~` deletes nothing).
+    The folder is flushed to the disk and exchanged with `path` in one step, so that a reader finds the old folder or the new one,
+    also after a kill or a power cut. Windows has no such step: for an instant neither is there, and if the process is killed then,
+    the next write to `path` restores the old folder.
+    Raises SnergError when the parent cannot be written, the disk is full, or `path` is a file, or a folder that was not written by
+    SNeRG (so that `--out ~` deletes nothing).
     """
-    path = Path(os.path.realpath(path))  # through a link, so that it stays one
+    path = Path(os.path.realpath(path))  # follow a link, so that the link itself is kept
     check_replaceable(path)
     try:
         with _temporary(path) as temporary:
@@ -143,10 +143,10 @@ def new_folder(path: Path) -> Iterator[Path]:
 
 
 def put_in_place(new: Path, path: Path, keep: Path | None = None) -> None:
-    """A finished folder of ours takes the place of `path`, whole, in one step where the system has one (see new_folder).
+    """Move the finished folder `new` to `path`, in one step where the system has one (see new_folder).
 
-    What was there goes to `keep`, in place of a folder of ours there, or is deleted where that is None.
-    Raises SnergError when it cannot; then `new` and `path` are as they were.
+    The previous folder at `path` is moved to `keep`, where it replaces a folder with MARK, or is deleted if `keep` is None.
+    Raises SnergError when `path` cannot be replaced; `new` and `path` are then unchanged.
     """
     path = Path(os.path.realpath(path))
     check_replaceable(path)
@@ -165,67 +165,18 @@ def put_in_place(new: Path, path: Path, keep: Path | None = None) -> None:
 
 
 def discard(folder: Path) -> None:
-    """Delete a folder that bears our mark, and nothing that is not one."""
+    """Delete a folder if it contains MARK; leave anything else."""
     if is_ours(folder):
         _remove(folder)
 
 
-T = TypeVar("T")
-READS = 20  # of a folder that is replaced again and again
-
-
-def one_generation(folder: Path, read: Callable[[], T]) -> T:
-    """What `read` gives of a folder (or file) that other processes may replace meanwhile: of one generation of it, never of two.
-
-    It is read again where it was replaced. Raises what `read` raises, and SnergError where it is replaced in every read.
-    """
-    for _ in range(READS):
-        with _held(folder) as same:
-            try:
-                result = read()
-            except Exception as error:
-                if isinstance(error, Cancelled) or same():
-                    raise
-                continue  # half of it was gone
-            if same():
-                return result
-    raise SnergError(f"{folder} is replaced again and again while it is read; wait for what writes it, or stop that.")
-
-
-@contextlib.contextmanager
-def _held(folder: Path) -> Iterator[Callable[[], bool]]:
-    """Whether the same folder is still there: it is held open where the system can, so that no other gets its number."""
-    before = _status(folder)
-    descriptor = None
-    if os.name == "posix" and before is not None:
-        with contextlib.suppress(OSError):
-            descriptor = os.open(folder, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not hold us up
-            before = os.fstat(descriptor)
-    try:
-        yield lambda: _same(before, _status(folder))
-    finally:
-        if descriptor is not None:
-            os.close(descriptor)
-
-
-def _status(path: Path) -> os.stat_result | None:
-    try:
-        return os.stat(path)
-    except (OSError, ValueError):
-        return None
-
-
-def _same(before: os.stat_result | None, now: os.stat_result | None) -> bool:
-    return before is now if before is None or now is None else os.path.samestat(before, now)
-
-
 def _flush(folder: Path) -> None:
-    """All that a folder holds to the disk."""
+    """Flush all files of a folder to the disk."""
     for path in folder.rglob("*"):
         if path.is_file():
             with open(path, "r+b") as file:
                 os.fsync(file.fileno())
-    if os.name == "posix":  # elsewhere folders cannot be opened
+    if os.name == "posix":  # other systems cannot open folders
         for path in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
             _flush_entries(path)
 
@@ -239,7 +190,7 @@ def _flush_entries(folder: Path) -> None:
 
 
 def _swap(new: Path, path: Path) -> None:
-    """Folder `new` to `path`; what was there goes to where `new` was."""
+    """Move the folder `new` to `path`, and the previous folder at `path` to where `new` was."""
     if not path.exists():
         os.replace(new, path)
     elif not _exchange(new, path):
@@ -250,22 +201,22 @@ def _swap(new: Path, path: Path) -> None:
         except OSError:
             os.replace(old, path)
             raise
-        with contextlib.suppress(OSError):  # the result is in its place; what was there is tidied later
+        with contextlib.suppress(OSError):  # the result is in its place; the old folder is cleaned up later
             os.replace(old, new)
     _flush_swap(path)
 
 
 def _flush_swap(path: Path) -> None:
-    """The entry of a result that is in its place, to the disk. A disk that refuses this has it all the same, if not after a power cut."""
+    """Flush the directory entry of `path` to the disk. A disk that cannot do this may lose the entry in a power cut, and only then."""
     if os.name == "posix":
         with contextlib.suppress(OSError):
             _flush_entries(path.parent)
 
 
 def _exchange(a: Path, b: Path) -> bool:
-    """Swap two folders in one step; False where the system or the disk's format cannot."""
+    """Exchange two folders in one step; False where the system or the file system cannot."""
     names = os.fsencode(a), os.fsencode(b)
-    with contextlib.suppress(AttributeError, OSError, TypeError):  # a C library without the call, or none to ask
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # the C library lacks the call, or there is none
         library = ctypes.CDLL(None)
         if platform.system() == "Linux":
             return bool(library.renameat2(AT_FDCWD, names[0], AT_FDCWD, names[1], EXCHANGE) == 0)
@@ -275,7 +226,7 @@ def _exchange(a: Path, b: Path) -> bool:
 
 
 def _tidy(path: Path) -> None:
-    """Put back what a kill between two renames left aside, and delete what kills left half-written: of ours alone, see MARK."""
+    """Restore a folder that a kill between two renames left aside, and delete abandoned temporary folders; only those with MARK."""
     name = re.compile(re.escape(f".{path.name}.") + r"[0-9a-f]{8}\.(part|old)")
     with contextlib.suppress(OSError):  # a folder that is not there or may not be read
         left = [folder for folder in path.parent.iterdir() if name.fullmatch(folder.name) and is_ours(folder)]
@@ -289,12 +240,12 @@ def _tidy(path: Path) -> None:
 
 
 def is_ours(folder: Path) -> bool:
-    """Whether it is a folder, and no link to one, that bears our mark."""
+    """Whether `folder` is a folder, not a link to one, and contains MARK."""
     return folder.is_dir() and not folder.is_symlink() and (folder / MARK).is_file()
 
 
 def check_replaceable(path: Path) -> None:
-    """Raise SnergError unless `path` can be created or is an earlier result of ours (or empty)."""
+    """Raise SnergError unless `path` can be created, is empty, or was written by SNeRG."""
     if path.is_dir():
         if not (path / MARK).exists() and not all(HALF_MARK.fullmatch(one.name) for one in path.iterdir()):
             raise SnergError(f"The folder {path} holds other files; choose a new or empty folder, so that nothing of yours is replaced.")
@@ -304,13 +255,13 @@ def check_replaceable(path: Path) -> None:
     while not parent.exists():
         parent = parent.parent
     try:
-        os.rmdir(tempfile.mkdtemp(prefix=".snerg-", dir=parent))  # asking for permission is not enough: root has it everywhere
+        os.rmdir(tempfile.mkdtemp(prefix=".snerg-", dir=parent))  # os.access is not enough: it is always true for root
     except OSError as error:
         raise SnergError(f"Cannot write {path} ({parent} is not a folder that you can write to); choose another.") from error
 
 
 def read_json(path: Path) -> Any:
-    """Parse a JSON file. Raises SnergError when it is missing, no regular file, too large or not JSON."""
+    """The value of a JSON file. Raises SnergError when it is missing, not a regular file, larger than MAX_JSON_BYTES, or not JSON."""
     check_file(path, MAX_JSON_BYTES)
     with reading(path, "write it again"):
         text = path.read_bytes()
@@ -321,26 +272,13 @@ def read_json(path: Path) -> Any:
 
 
 def json_bytes(value: Any) -> bytes:
-    """JSON without NaN or infinity (hard case 59). Raises SnergError when the value holds one."""
+    """A value as JSON, UTF-8. Raises SnergError when it contains NaN or infinity, which JSON does not have (hard case 59)."""
     try:
         return (json.dumps(value, allow_nan=False, indent=1) + "\n").encode()
     except ValueError as error:
         raise SnergError(f"A value that would be written is not finite ({error}); nothing was written.") from error
 
 
-def inside(root: Path, name: str, where: str) -> Path:
-    """`root / name`, resolved. Raises SnergError when it leaves `root` (hard case 62)."""
-    try:
-        root = root.resolve()
-        path = (root / name).resolve()
-        path.is_file()
-    except (OSError, ValueError, RuntimeError) as error:  # a loop of links, a name too long, a zero byte
-        raise SnergError(f"{where} names {name[:200]!r}, which is no path ({error}); rename the file.") from error
-    if not path.is_relative_to(root):
-        raise SnergError(f"{where} names {name!r}, which lies outside {root}; keep a dataset's files in its own folder.")
-    return path
-
-
 def folder_bytes(path: Path) -> int:
-    """Bytes of a file, or of all files in a folder."""
+    """Size in bytes of a file, or of all files in a folder."""
     return path.stat().st_size if path.is_file() else sum(p.stat().st_size for p in path.rglob("*") if p.is_file())

@@ -1,4 +1,4 @@
-"""One guard for every reader: a file may hold anything, and what is wrong with it comes out as one sentence (hard cases 61, 62)."""
+"""Error handling of all readers: a damaged or malicious file leads to one SnergError and bounded memory (hard cases 61, 62)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError, clean
 
-WHY = 200  # characters of a decoder's own message
+MAX_REASON = 200  # characters of a decoder's message that are quoted
 MAX_MEMBERS = 4096  # arrays of an .npz
-UNPACKED = 2**24  # bytes that a small .npz may unpack to
-EXPANSION = 8  # times an .npz's size that it may unpack to beyond that: what SNeRG writes is not compressed
-PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # NumPy's; others unpack any amount from a few bytes at a time
+MAX_SMALL_UNPACKED = 2**24  # bytes that any .npz may unpack to
+MAX_EXPANSION = 8  # unpacked bytes per packed byte, beyond MAX_SMALL_UNPACKED; arrays that SNeRG writes are not compressed
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes; the output of others is not bounded by their input
 
 
 @contextmanager
 def reading(path: Path, advice: str, subject: str = "") -> Iterator[None]:
-    """Turn whatever decoding `path` raises into one SnergError; a SnergError, Cancelled included, passes as it is.
+    """Turn any exception of decoding `path` into one SnergError; a SnergError, Cancelled included, passes unchanged.
 
-    advice: what to do where the file is damaged, such as 'export it again'. subject: what the sentence begins with; the path where ''.
+    advice: what to do when the file is damaged, such as 'export it again'. subject: the subject of the sentence; the path if empty.
     """
     subject = subject or str(path)
     try:
@@ -37,20 +37,20 @@ def reading(path: Path, advice: str, subject: str = "") -> Iterator[None]:
         raise SnergError(f"{subject} does not exist; check the path.") from error
     except MemoryError as error:
         raise SnergError(f"{subject} asks for more memory than there is; {advice}, or close other programs.") from error
-    except Exception as error:  # decoders raise what they like: zlib.error, TokenError, OverflowError, RecursionError, struct.error ...
+    except Exception as error:  # decoders raise any exception: zlib.error, TokenError, OverflowError, RecursionError, struct.error ...
         if isinstance(error, OSError) and error.errno is not None:
             raise SnergError(f"Cannot read {path} ({error.strerror or error}).") from error
         raise SnergError(f"{subject} is damaged or cut short ({why(error)}); {advice}.") from error
 
 
 def why(error: BaseException) -> str:
-    """A decoder's message as part of a sentence."""
-    kind, text = type(error).__name__, clean(str(error), WHY)
+    """The reason that an exception gives, as part of a sentence."""
+    kind, text = type(error).__name__, clean(str(error), MAX_REASON)
     return text if text and type(error) in (ValueError, OSError) else f"{kind}: {text}" if text else kind
 
 
 def check_file(path: Path, most: int) -> int:
-    """The size in bytes of a regular file. Raises SnergError where there is none, for a device or a pipe, and beyond `most` bytes."""
+    """The size of a regular file in bytes. Raises SnergError when it is missing, not a regular file, or larger than `most` bytes."""
     try:
         known = os.stat(path)
     except FileNotFoundError as error:
@@ -67,29 +67,30 @@ def check_file(path: Path, most: int) -> int:
 
 
 def read_arrays(path: Path, most: int) -> dict[str, NDArray[Any]]:
-    """The arrays of an .npz of at most `most` bytes, no pickles.
+    """The arrays, of any shape, of an .npz of at most `most` bytes, by name. Pickles are refused.
 
-    What they unpack to is added up from their headers first. Raises SnergError as `check_file` does, anything that a decoder raises
-    otherwise: call it in `reading`.
+    The unpacked size is checked from the headers before anything is unpacked. Raises SnergError as `check_file` does, and whatever
+    the decoder raises: call it in `reading`.
     """
     size = check_file(path, most)
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         total = sum(member.file_size for member in members)
-        if len(members) > MAX_MEMBERS or total > UNPACKED + EXPANSION * size:
+        if len(members) > MAX_MEMBERS or total > MAX_SMALL_UNPACKED + MAX_EXPANSION * size:
             raise ValueError(f"{size} bytes would unpack to {len(members)} arrays of {total} bytes, which no file of SNeRG's does")
         return {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """A member, which must be as long as its header says. Raises ValueError and what decoders raise."""
-    if member.compress_type not in PACKED:
+    """The array of one member. Raises ValueError when its length differs from its header, and whatever the decoder raises."""
+    if member.compress_type not in METHODS:
         raise ValueError(f"{member.filename} is packed by method {member.compress_type}")
     with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
+        header: Any = np.lib.format  # NumPy gives these readers no types
+        version = header.read_magic(file)
         if version not in ((1, 0), (2, 0)):
             raise ValueError(f"{member.filename} has version {version} of NumPy's format")
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        read_header = header.read_array_header_1_0 if version == (1, 0) else header.read_array_header_2_0
         shape, fortran, kind = read_header(file)
         count = 1
         for length in shape:

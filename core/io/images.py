@@ -1,7 +1,7 @@
 """Reading and writing pictures as arrays, and the sRGB curve.
 
-A picture is taken as it is stored: where its EXIF data say that it should be turned for viewing, it is not turned, because the
-poses that COLMAP and all that build on it find are those of the stored pixels.
+Images are read as they are stored. An EXIF orientation is not applied, because COLMAP and tools that use it find poses for the stored
+pixels.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from ..errors import SnergError
 from .files import write_bytes
 from .guard import check_file, reading, why
 
-MAX_PIXELS = 2**27  # 134 million: past any camera, short of filling the memory from a small file (hard case 61)
-FLAT_PIXELS = 2**24  # that a picture of any few bytes may have
-FLAT_MASK = 2**26  # and a mask, which is one channel and may be white throughout
-PIXELS_PER_BYTE = 256  # that larger ones may have: an empty picture of 8-bit RGBA as PNG has 250, what shows something has fewer
+MAX_PIXELS = 2**27  # of an image: more than any camera has, too few for a small file to fill the memory (hard case 61)
+FLAT_PIXELS = 2**24  # of an image whatever its size in bytes
+FLAT_MASK = 2**26  # of a mask whatever its size in bytes: it has one channel and may be white throughout
+PIXELS_PER_BYTE = 256  # of larger images: an empty 8-bit RGBA PNG has 250, others have fewer
 MAX_BYTES = 2**31
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # Pillow knows more, some of which start other programs
-LINEAR = (".exr",)  # read through OpenImageIO
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
+LINEAR = (".exr",)  # read with OpenImageIO
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
@@ -63,7 +63,7 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArr
         with reading(path, "write it again", f"The mask {path}"):
             grey = image.convert("L")
             white = grey.point([255] * 128 + [0] * 128 if hides else [0] * 128 + [255] * 128)
-            return np.asarray(white.resize((width, height), Image.Resampling.BOX)) == 255
+            return np.equal(np.asarray(white.resize((width, height), Image.Resampling.BOX)), 255)
 
 
 def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
@@ -79,7 +79,7 @@ def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
 
 
 def damaged(path: Path, error: Exception | str) -> SnergError:
-    """The sentence for a picture that cannot be decoded."""
+    """The error for an image that cannot be decoded."""
     return SnergError(f"The image {path} is damaged ({error}); write it again.")
 
 
@@ -218,7 +218,7 @@ def png_bytes(pixels: NDArray[Any], compress_level: int = 6) -> bytes:
 
 
 def write_png(path: Path, pixels: NDArray[Any], compress_level: int = 6) -> None:
-    """uint8 pixels to a PNG file, whole or not at all."""
+    """Write uint8 [H, W], [H, W, 3] or [H, W, 4] as a PNG file, whole or not at all."""
     write_bytes(path, png_bytes(pixels, compress_level))
 
 
@@ -235,7 +235,7 @@ def over(image: NDArray[Any], background: tuple[float, float, float] = (1.0, 1.0
     if image.shape[-1] == 3:
         return colour
     alpha = image[..., 3:].astype(np.float32) / 255
-    return colour * alpha + (1 - alpha) * np.array(background, np.float32)
+    return np.asarray(colour * alpha + (1 - alpha) * np.array(background, np.float32))
 
 
 def srgb_to_linear(colour: NDArray[Any]) -> NDArray[Any]:

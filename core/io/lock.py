@@ -1,4 +1,4 @@
-"""One writer a result: a lock beside it, which the system releases when its process ends, however it ends."""
+"""A lock beside each result, so that it has one writer. The system releases the lock when the process ends, also when it is killed."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from typing import Any, ParamSpec, TypeVar
 from ..errors import SnergError
 from .files import cannot_write
 
-HELD = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}  # what systems answer where another process has the lock
-BEYOND = 2**20  # the byte that is locked on Windows, where nobody else can read what is locked: it lies behind the text
+HELD = {errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK, errno.EDEADLK}  # error codes when another process has the lock
+LOCKED_BYTE = 2**20  # on Windows others cannot read a locked byte, so that one after the end of the text is locked
 MAX_TEXT = 4096  # bytes of a lock file that are read
 P = ParamSpec("P")
 R = TypeVar("R")
 _held: dict[int, Path] = {}  # lock files of this process by their open descriptors
-PATIENCE = 0.5  # seconds to wait for a first writer that has not written yet who it is, or is just about to end
+WAIT_SECONDS = 0.5  # for another writer that has not yet written its name, or is about to end
 
 
 @contextlib.contextmanager
 def one_writer(path: Path, doing: str) -> Iterator[None]:
-    """Be the only writer of the result at `path` meanwhile; `doing` says as what, such as 'a training'.
+    """Hold the lock of the result at `path`. doing: what the lock file calls the work, such as 'a training'.
 
-    The lock is on the hidden file .NAME.lock beside `path`, which says who has it and is deleted at the end. A kill leaves the file
-    but not the lock, so that the next writer takes it over. On a disk that has no locks nobody is kept out.
-    Raises SnergError when another process or thread writes there, naming it, or when the lock file cannot be written.
+    The lock is on the hidden file .NAME.lock beside `path`, which names its holder and is deleted at the end. After a kill the file
+    remains without the lock, and the next writer takes it over. A file system without locks excludes nobody.
+    Raises SnergError that names the other process or thread when one writes there, or when the lock file cannot be written.
     """
-    path = Path(os.path.realpath(path))  # through a link: both names are of one result
+    path = Path(os.path.realpath(path))  # follow a link: both names belong to one result
     file = path.with_name(f".{path.name}.lock")
     made = [folder for folder in (path.parent, *path.parent.parents) if not folder.exists()]
     try:
@@ -59,7 +59,7 @@ def one_writer(path: Path, doing: str) -> Iterator[None]:
 
 
 def writes_out(doing: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Make a function the one writer of what its argument `out` names, while it runs; None names nothing. Raises as `one_writer`."""
+    """A decorator: the function holds the lock of its argument `out` (see one_writer) while it runs; there is none if `out` is None."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
@@ -76,13 +76,13 @@ def writes_out(doing: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def _acquire(file: Path, path: Path) -> int:
-    """The open lock file, locked. Raises SnergError when another has it, OSError when it cannot be opened."""
-    end = time.monotonic() + PATIENCE
+    """The descriptor of the lock file, locked. Raises SnergError when another has the lock, OSError when the file cannot be opened."""
+    end = time.monotonic() + WAIT_SECONDS
     while True:
         file.parent.mkdir(parents=True, exist_ok=True)
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0), 0o644)
-        except FileNotFoundError:  # another removed the empty parent just now
+        except FileNotFoundError:  # another process has just removed the empty parent
             if time.monotonic() > end:
                 raise
             continue
@@ -99,12 +99,12 @@ def _acquire(file: Path, path: Path) -> int:
 
 
 def try_lock(descriptor: int) -> bool:
-    """Take the lock of an open file without waiting; False where another has it. On a disk that has no locks everybody gets it."""
+    """Lock an open file without waiting; False when another has the lock. Always True on a file system without locks."""
     try:
         if os.name == "nt":
             import msvcrt
 
-            os.lseek(descriptor, BEYOND, os.SEEK_SET)
+            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
             os.lseek(descriptor, 0, os.SEEK_SET)
         else:
@@ -117,7 +117,7 @@ def try_lock(descriptor: int) -> bool:
 
 
 def _is_at(descriptor: int, file: Path) -> bool:
-    """Whether an open file is still the one at `file`: the writer before deletes it while others may have opened it."""
+    """Whether an open file is still the one at `file`: the previous writer may have deleted it after it was opened here."""
     try:
         there = file.stat()
     except FileNotFoundError:
@@ -126,7 +126,7 @@ def _is_at(descriptor: int, file: Path) -> bool:
 
 
 def _release(descriptor: int, file: Path) -> None:
-    """Delete the lock file, then let go of it; Windows cannot delete what is open."""
+    """Delete the lock file, then close it; on Windows, which cannot delete open files, the other way round."""
     if os.name != "nt":
         with contextlib.suppress(OSError):
             file.unlink()
@@ -137,14 +137,14 @@ def _release(descriptor: int, file: Path) -> None:
 
 
 def remove_locks() -> None:
-    """Delete the lock files of this process, which ends in the middle of its work."""
+    """Delete the lock files of this process, which is about to end without finishing its work."""
     for file in list(_held.values()):
         with contextlib.suppress(OSError):
             file.unlink()
 
 
 def _remove_empty(folders: list[Path]) -> None:
-    """Remove parents that were made for the lock and hold nothing."""
+    """Remove parent folders that were created for the lock and are empty."""
     for folder in folders:
         with contextlib.suppress(OSError):
             folder.rmdir()
@@ -160,7 +160,7 @@ def _read(file: Path) -> dict[str, Any] | None:
 
 
 def _holder(file: Path) -> str:
-    """Who has a lock, for people."""
+    """The holder of a lock, as part of an error message."""
     about = _read(file) or {}
     try:
         since = time.strftime("%H:%M", time.localtime(float(about["since"])))

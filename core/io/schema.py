@@ -1,4 +1,4 @@
-"""Values out of JSON and arrays, checked where they come in. All raise ValueError that names the value; readers make a sentence of it."""
+"""Validation of values from JSON and arrays. All functions raise ValueError that names the value; readers turn it into a SnergError."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from ..errors import clean
 
-FAR = 1e12  # the largest length or coordinate, in any unit: beyond, float32 no longer holds what is computed from it
-ALIKE = 1e-3  # how far the axes of a rotation may be from orthonormal
+FAR = 1e12  # largest length or coordinate, in any unit: squares and products of larger ones overflow float32
+ORTHONORMAL_TOLERANCE = 1e-3  # largest element of |R^T R - I| of a rotation R
 
 
 def shown(value: Any) -> str:
-    """A value as part of a sentence."""
+    """A value as text of at most 80 characters, for an error message."""
     return clean(repr(value), 80)
 
 
@@ -59,7 +59,7 @@ def record(value: Any, name: str) -> dict[str, Any]:
 
 
 def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) -> NDArray[Any]:
-    """Finite numbers of this shape, none beyond `most`, float64."""
+    """Finite numbers as an array of the same shape as `shape`, float64; none beyond `most` in magnitude."""
     found = np.asarray(value)
     if found.shape != shape or found.dtype.kind not in "fiu":
         raise ValueError(f"{name} is {found.dtype} {found.shape}; it must be {' x '.join(map(str, shape))} numbers")
@@ -70,15 +70,15 @@ def numbers(value: Any, name: str, shape: tuple[int, ...], most: float = FAR) ->
 
 
 def rotation(value: Any, name: str) -> NDArray[Any]:
-    """[3, 3] orthonormal and no mirror."""
+    """A rotation [3, 3] float64: orthonormal, without reflection."""
     axes = numbers(value, name, (3, 3))
-    if np.abs(axes.T @ axes - np.eye(3)).max() > ALIKE or np.linalg.det(axes) < 0:
+    if np.abs(axes.T @ axes - np.eye(3)).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(axes) < 0:
         raise ValueError(f"{name} is no rotation: its axes must be 1 long and at right angles")
     return axes
 
 
 def pose(value: Any, name: str) -> NDArray[Any]:
-    """[4, 4]: a rotation and a translation."""
+    """A rigid pose [4, 4] float64: a rotation and a translation."""
     matrix = numbers(value, name, (4, 4))
     rotation(matrix[:3, :3], name)
     return matrix

@@ -35,7 +35,10 @@ MLP_LIMITS = {"width": (1, MAX_WIDTH), "depth": (1, 64), "skip": (1, 2**16), "de
 
 
 def write_field(field: Field, folder: Path, state: dict[str, NDArray[Any]] | None = None) -> None:
-    """Write a field, whole or not at all; `state` is what training needs to go on. Raises SnergError naming a bad array."""
+    """Write a field, whole or not at all. state: what training needs to continue, named arrays of any shape.
+
+    Raises SnergError that names an array with values that are not finite, or when the folder cannot be written.
+    """
     arrays = {f"params.{name}": array for name, array in flatten(field.params).items()}
     if field.network is not None:
         arrays |= {f"view.{k}": np.asarray(v) for k, v in field.network._asdict().items()}
@@ -74,7 +77,7 @@ def read_field(path: Path) -> Field:
 
 
 def read_field_and_state(path: Path) -> tuple[Field, dict[str, NDArray[Any]]]:
-    """A field, and what `write_field` was given as its training state."""
+    """Read a field and its training state, named arrays of any shape as `write_field` got them. Raises SnergError as `read_field`."""
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise SnergError(f"There is no field at {path}; train one with 'snerg train', or import one with 'snerg import'.")
@@ -129,7 +132,7 @@ def _occupancy(cells: NDArray[Any] | None) -> NDArray[Any] | None:
 
 
 def check_params(params: dict[str, NDArray[Any]], family: ModelConfig, view: str) -> None:
-    """Raise ValueError unless a field's parameters are named and shaped as its family and its view dependence have them, and finite."""
+    """Raise ValueError unless a field's parameters are finite and have the names and shapes of `param_shapes`; arrays of any shape."""
     wanted = param_shapes(family, view, params)
     if params.keys() != wanted.keys():
         raise ValueError(f"the network has arrays {sorted(params)[:4]} ..., not {sorted(wanted)[:4]} ...")
@@ -140,7 +143,8 @@ def check_params(params: dict[str, NDArray[Any]], family: ModelConfig, view: str
 
 
 def param_shapes(family: ModelConfig, view: str, params: dict[str, NDArray[Any]]) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the arrays that `flatten` gives for such a field. Whether a diffuse one has features, its `params` tell."""
+    """Names and shapes of the arrays that `flatten` returns for such a field. params: arrays of any shape, which tell whether a diffuse
+    field has features."""
     last = params.get("bias_1" if isinstance(family, HashModelConfig) else f"{family.depth + 1:02d}.bias")
     outputs = {"sample": family.width}.get(view, 3 + FEATURES)
     if view == "diffuse" and last is not None and last.size < 1 + outputs:
@@ -178,14 +182,14 @@ def read_family(value: dict[str, Any]) -> ModelConfig:
 
 
 def flatten(params: Any) -> dict[str, NDArray[Any]]:
-    """A field's parameters as named arrays: a dict of them, or the layers of a trunk."""
+    """A field's parameters as named arrays of any shape. params: a dict of arrays (hash grid) or a tuple of layers (MLP)."""
     if isinstance(params, dict):
         return {k: np.asarray(v) for k, v in params.items()}
     return {f"{i:02d}.{k}": np.asarray(v) for i, layer in enumerate(params) for k, v in layer._asdict().items()}
 
 
 def unflatten(arrays: dict[str, NDArray[Any]], family: ModelConfig) -> Any:
-    """Undo `flatten`."""
+    """The parameters whose `flatten` these named arrays of any shape are."""
     if isinstance(family, HashModelConfig):
         return arrays
     return tuple(Dense(arrays[f"{i:02d}.kernel"], arrays[f"{i:02d}.bias"]) for i in range(len(arrays) // 2))

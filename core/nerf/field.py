@@ -108,7 +108,7 @@ class Field:
         inside = within[:, 0] & within[:, 1] & within[:, 2]  # three times as fast as all(axis=-1)
         if self.occupancy is not None:
             inside &= self.occupancy[cell_index(x)]
-        return inside
+        return np.asarray(inside)
 
 
 def in_chunks(function: Callable[[NDArray[Any]], Sequence[Any]], x: NDArray[Any], size: int = CHUNK) -> tuple[NDArray[Any], ...]:

@@ -25,7 +25,7 @@ class Frame:
 
     def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> NDArray[Any]:
         """[H, W, 3] in [0, 1] over a colour."""
-        return np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1)
+        return np.asarray(np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1))
 
     def straight(self) -> NDArray[Any]:
         """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
@@ -47,7 +47,7 @@ class Composited:
     samples: int | None = None
 
     def part(self, some: slice | NDArray[Any]) -> Composited:
-        """Some of the rays."""
+        """The rays [N] of a slice, of indices [K] or of a mask [N]."""
         return Composited(self.colour[some], self.features[some], self.transmittance[some], self.depth[some])
 
 
@@ -74,4 +74,4 @@ def residual(network: ViewNetwork, colour: NDArray[Any], features: NDArray[Any],
         whole[:count], whole[count:] = values, 0
         return whole.reshape(-1, STACK, values.shape[-1])
 
-    return view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count]
+    return np.asarray(view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count])

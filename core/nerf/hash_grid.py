@@ -27,7 +27,7 @@ class HashGrid:
     def resolutions(self) -> NDArray[Any]:
         """[levels] cells along an axis, growing geometrically."""
         growth = np.linspace(0, 1, self.levels) if self.levels > 1 else np.zeros(1)
-        return np.floor(self.coarsest * (self.finest / self.coarsest) ** growth + 1e-6).astype(np.int64)
+        return np.asarray(np.floor(self.coarsest * (self.finest / self.coarsest) ** growth + 1e-6).astype(np.int64))
 
     @cached_property
     def sizes(self) -> NDArray[Any]:

@@ -170,7 +170,7 @@ def _array(value: Any) -> NDArray[Any]:
     """An array, whole or in chunks (flax splits what is over 2^30 bytes). Raises ValueError."""
     if isinstance(value, Mapping) and "__msgpack_chunked_array__" in value:
         chunks = [_array(chunk) for chunk in _listed(value["chunks"])]
-        return np.concatenate([chunk.reshape(-1) for chunk in chunks]).reshape([int(n) for n in _listed(value["shape"])])
+        return np.asarray(np.concatenate([chunk.reshape(-1) for chunk in chunks]).reshape([int(n) for n in _listed(value["shape"])]))
     if not isinstance(value, _Packed):
         raise ValueError(f"{type(value).__name__} where an array should be")
     return value.array()

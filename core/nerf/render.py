@@ -1,4 +1,4 @@
-"""Pictures straight from a field, before any baking: what evaluation compares a bake with (JAX)."""
+"""Volume rendering of a field (section 4.2, eqs. 5 to 7), without baking: the reference for a bake. Needs JAX."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from .frame import Composited, Frame, shade
 from .sampling import CELLS, clip_rays, pack_samples
 from .volume_rendering import composite, mean_distance, optical_depth
 
-RAYS = 16384
-STRETCH = 48  # steps of each ray that are taken before looking which rays are used up
-DARK = 1e-3  # light of which no more is followed: a quarter of a level of 8 bits
+RAYS = 16384  # rays in memory together
+STRETCH = 48  # steps of each ray between two checks which rays have terminated
+DARK = 1e-3  # transmittance below which a ray terminates: a quarter of a level of 8 bits
 
 
 def render_field(field: Field, camera: Camera, progress: Progress = silent) -> Frame:

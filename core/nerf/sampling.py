@@ -1,7 +1,6 @@
-"""Where along rays to look: the visual hull, the occupancy grid, and packed samples.
+"""Sampling of rays: visual hull (Laurentini 1994), occupancy grid (Mueller et al. 2022, section 5), packed samples.
 
-All lengths here are in the field's own coordinates: the domain is normalised so that it fits [-1, 1]^3 and a
-density is per unit of that length.
+Lengths are in field coordinates, in which the domain fits [-1, 1]^3; a density is per unit of that length.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from numpy.typing import NDArray
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 
-CELLS = 128  # of the occupancy grid along an axis
-COARSE_CELLS = 64  # of the first look for the hull
+CELLS = 128  # cells of the occupancy grid along an axis (Mueller et al. 2022)
+COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the hull's extent
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +42,11 @@ class Domain:
 
     def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
-        return ((points - self.centre) * self.scale).astype(np.float32)
+        return np.asarray(((points - self.centre) * self.scale).astype(np.float32))
 
     def to_world(self, x: NDArray[Any]) -> NDArray[Any]:
         """[N, 3] float64."""
-        return np.asarray(x, np.float64) / self.scale + self.centre
+        return np.asarray(np.asarray(x, np.float64) / self.scale + self.centre)
 
     def world_box(self) -> Box:
         """The occupied part as a box in world axes."""
@@ -55,7 +54,7 @@ class Domain:
 
 
 def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None], radius: float) -> NDArray[Any]:
-    """Which world points [N, 3] can hold something: seen by a camera, and outside no silhouette that shows them.
+    """Which world points [N, 3] are in the visual hull, bool [N]: seen by a camera, and inside the silhouette of each that sees them.
 
     masks: a camera's silhouette [H, W] bool, or None where its image has no alpha. radius: world units round a
     point that count with it. A point beyond a picture's edge is not judged by that picture.
@@ -75,7 +74,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         alive = alive[~gone]
     result = np.zeros(len(points), bool)
     result[alive] = True
-    return result & seen
+    return np.asarray(result & seen)
 
 
 def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
@@ -87,7 +86,7 @@ def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
 
 
 def dilated(mask: NDArray[Any], radius: int) -> NDArray[Any]:
-    """True within `radius` pixels in the maximum norm."""
+    """Dilation of a mask, bool [H, W], by a square of 2 * radius + 1 pixels; bool [H, W]."""
     for axis in (0, 1):
         total = np.cumsum(np.insert(mask, 0, False, axis=axis), axis=axis, dtype=np.int32)
         size = mask.shape[axis]
@@ -99,9 +98,9 @@ def dilated(mask: NDArray[Any], radius: int) -> NDArray[Any]:
 
 
 def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> tuple[Domain, NDArray[Any]]:
-    """The tight domain of a capture and which of its occupancy cells can hold something, bool [CELLS^3] z fastest.
+    """(tight domain of a capture, occupancy cells in its visual hull bool [CELLS^3], z fastest).
 
-    Two looks: a coarse one over the whole box finds how far the silhouettes reach, a fine one fills the cells.
+    Carving runs twice: coarsely over the whole box for the extent of the hull, then finely over that extent.
     An empty hull (silhouettes that do not agree) falls back to the whole box.
     """
     corners = box.corners()
@@ -119,7 +118,7 @@ def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | Non
 
 
 def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
-    """bool [cells^3]: cells of [-1, 1]^3 inside the box and the hull."""
+    """The cells of [-1, 1]^3 inside the box and the visual hull, bool [cells^3], z fastest."""
     x = cell_centres(cells)
     margin = 1.0 / cells
     near = ((x >= domain.low - margin) & (x <= domain.high + margin)).all(axis=-1)
@@ -136,21 +135,21 @@ def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera],
 def cell_centres(cells: int) -> NDArray[Any]:
     """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
     axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))
 
 
 def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A copy of a training's estimates as its state holds them: float32, not negative, infinite where nobody looked. Raises ValueError."""
+    """A copy of a training's estimates: float32 of any shape, not negative, infinite where there is none. Raises ValueError."""
     if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
         raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
     return value.copy()
 
 
 class Occupancy:
-    """Which cells hold something, as far as the field has learned.
+    """The occupancy grid of a field in training.
 
-    cells: those not given up. most: float32 [CELLS^3], a running upper estimate of the density in a cell, infinite where
-    nobody has looked yet, 0 in cells given up.
+    cells: indices of the cells that may hold something. most: float32 [CELLS^3], a running upper estimate of the density in a cell,
+    infinite where it was never measured, 0 in empty cells.
     """
 
     def __init__(self, most: NDArray[Any]) -> None:
@@ -163,7 +162,7 @@ class Occupancy:
         return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
 
     def update(self, query: Callable[[NDArray[Any]], NDArray[Any]], count: int, rng: np.random.Generator) -> None:
-        """Look at one random point in each of up to `count` live cells; `query` maps [N, 3] float32 to density [N]."""
+        """Measure the density at one random point in each of up to `count` occupied cells; `query` maps [N, 3] float32 to density [N]."""
         cells = self.cells if len(self.cells) <= count else rng.choice(self.cells, count, replace=False)
         found = query(self.points_in(cells, rng))
         most = self.most[cells]
@@ -202,7 +201,7 @@ def clip_rays(
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
-    distance [N] along the ray. cut: [R] bool, rays that were told to end before they leave the domain."""
+    distance [N] along the ray. cut: [R] bool, rays that `until` ends before they leave the domain."""
 
     points: NDArray[Any]
     ray: NDArray[Any]
@@ -239,7 +238,7 @@ def pack_samples(
     return Samples(points[full], ray[full], length, distance[full], cut)
 
 
-BLOCK = 8  # steps that one look at the coarse level decides on
+BLOCK = 8  # steps of a ray that one lookup in the coarse grid decides on
 
 
 def coarse_steps(
@@ -251,7 +250,7 @@ def coarse_steps(
     offset: NDArray[Any],
     counts: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(ray, step) of every step that a coarser occupancy does not rule out, in order along each ray."""
+    """(ray [N], step [N]) of every step that a coarser occupancy does not rule out, in order along each ray."""
     span = BLOCK * length
     blocks = -(-counts // BLOCK)
     ray = np.repeat(np.arange(len(counts)), blocks)
@@ -273,7 +272,7 @@ _coarser: dict[tuple[int, int, int], tuple[NDArray[Any], NDArray[Any]]] = {}
 
 
 def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
-    """Occupancy in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+    """Occupancy [n^3] in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
 
     The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
     """
@@ -302,4 +301,4 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
     """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
-    return (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]
+    return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])

@@ -18,7 +18,7 @@ def unit(directions: NDArray[Any]) -> NDArray[Any]:
     length = np.linalg.norm(np.asarray(directions, np.float64), axis=-1, keepdims=True)
     if not (np.isfinite(length) & (length > 0)).all():
         raise SnergError("A viewing direction is zero or not finite; check the poses of the cameras.")
-    return directions / length
+    return np.asarray(directions / length)
 
 
 def sample_values(xnp: Any, view: str, family: ModelConfig, params: dict[str, Any], values: Any, directions: Any) -> Any:

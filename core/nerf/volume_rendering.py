@@ -1,4 +1,4 @@
-"""Volume rendering over packed samples: those of one ray stand together, rays one after another."""
+"""Volume rendering (Max 1995; NeRF, eq. 3) of packed samples: sorted by ray, then by distance. NumPy and JAX."""
 
 from __future__ import annotations
 

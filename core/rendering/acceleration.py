@@ -1,4 +1,4 @@
-"""What the marcher looks up: voxels as words, where a block's cell begins, and how far the nearest thing is."""
+"""The acceleration structure of a scene: packed voxels, and distances to the nearest occupied brick and stencil."""
 
 from __future__ import annotations
 
@@ -12,24 +12,29 @@ from numpy.typing import NDArray
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.scene import Scene
 
-BRICK = 6  # voxels along a brick, by which the way through empty space is measured; five of them make a block's own 30
-BRICKS = DATA_VOXELS // BRICK
-MAX_SKIP = 6  # voxels that one jump inside a brick can pass
-STRIDES = (CELL_VOXELS**2, CELL_VOXELS, 1)  # words from a voxel to its neighbours along x, y, z
+BRICK_VOXELS = 6  # side of a brick, the unit of empty-space skipping; 5 bricks fill a block's own 30 voxels
+BRICKS_PER_BLOCK = DATA_VOXELS // BRICK_VOXELS
+MAX_VOXEL_SKIP = 6  # voxels that one jump inside a brick can pass: a brick's side
+MAX_BRICK_DISTANCE = 255  # of uint8
+STRIDES = (CELL_VOXELS**2, CELL_VOXELS, 1)  # index differences between voxels that are neighbours along x, y, z
+ALL_BITS = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, eq=False)
 class Acceleration:
-    """What a march looks up. A tent is the reach of trilinear interpolation between 8 voxels; tent (i, j, k) has its lowest corner
-    in voxel (i, j, k) of a cell.
+    """What the marcher reads of a scene.
 
-    voxels: a word of C bytes a voxel [M * 32^3], or its C floats [M * 32^3, C]. unit: what a value of 1 is stored as.
-    brick_base: int64, word of the voxel that (0, 0, 0) of the whole grid would be in a brick's cell, anything where there is none.
-    brick_distance: uint8, Chebyshev distance in bricks to the nearest of whose tents one holds something, 0 in those.
-    Bricks are numbered x, y, z, z fastest; `bricks` is how many along each axis, one more than the blocks have, which repeats
-    the last: the outer face of the grid belongs to it, and rounding must not push a sample out of its block.
-    voxel_skip: uint8 [M * 32^3] Chebyshev distance in voxels to the nearest tent that holds something within the cell, and at most
-    that to the first tent that it shares with a neighbour; 0 where the tent itself holds something.
+    A trilinear stencil is the cube between the centres of 8 neighbouring voxels; stencil (i, j, k) has its lowest corner, its `base`, in
+    voxel (i, j, k) of a cell. It is occupied when one of its 8 voxels is not 0: only then can a sample in it be anything but 0.
+
+    voxels: a voxel as one word of C bytes, [M * 32^3] uint32 or uint64; float scenes: [M * 32^3, C] float32. unit: stored value of 1.0.
+    brick_base: int64 [bricks], index in `voxels` that voxel (0, 0, 0) of the whole grid would have if all of it lay in the brick's cell;
+        arbitrary where the brick's block has no cell.
+    brick_distance: uint8 [bricks], Chebyshev distance in bricks to the nearest brick with an occupied stencil; 0 in those.
+    bricks: bricks along x, y, z (z fastest), one more than the blocks have: it repeats the last brick, because rounding may place a sample
+        on the grid's outer face.
+    voxel_skip: uint8 [M * 32^3], Chebyshev distance in voxels to the nearest occupied stencil of the cell, at most MAX_VOXEL_SKIP and at
+        most the distance to a stencil that the cell shares with a neighbour; 0 in occupied stencils.
     """
 
     voxels: NDArray[Any]
@@ -41,82 +46,89 @@ class Acceleration:
     voxel_skip: NDArray[Any]
 
 
-_tables: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
+_cache: WeakKeyDictionary[Scene, Acceleration] = WeakKeyDictionary()
 
 
-def acceleration_of(snerg: Scene) -> Acceleration:
-    """The look-up tables of a scene, made once."""
-    tables = _tables.get(snerg)
-    if tables is None:
-        tables = _tables[snerg] = build_acceleration(snerg)
-    return tables
+def acceleration_of(scene: Scene) -> Acceleration:
+    """The acceleration structure of a scene, built on first use and kept as long as the scene."""
+    acceleration = _cache.get(scene)
+    if acceleration is None:
+        acceleration = _cache[scene] = build_acceleration(scene)
+    return acceleration
 
 
-def build_acceleration(snerg: Scene) -> Acceleration:
-    """See `Acceleration`."""
-    cells = snerg.cells if len(snerg.cells) else np.zeros((1, *snerg.cells.shape[1:]), snerg.cells.dtype)
+def build_acceleration(scene: Scene) -> Acceleration:
+    """A new acceleration structure of a scene."""
+    cells = scene.cells if len(scene.cells) else np.zeros((1, *scene.cells.shape[1:]), scene.cells.dtype)
     channels, flat = cells.shape[-1], np.ascontiguousarray(cells).reshape(-1, cells.shape[-1])
-    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if snerg.quantised else flat
-    tents = tent_bits((voxels != 0 if snerg.quantised else (voxels != 0).any(axis=-1)).reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
-    occupied, base = _bricks(snerg.indirection, tents)
+    voxels = flat.view(np.uint64 if channels == 8 else np.uint32).reshape(-1) if scene.quantised else flat
+    occupied_voxels = voxels != 0 if scene.quantised else (voxels != 0).any(axis=-1)
+    stencils = occupied_stencils(occupied_voxels.reshape(-1, CELL_VOXELS, CELL_VOXELS, CELL_VOXELS))
+    occupied, base = _bricks(scene.indirection, stencils)
     x, y, z = occupied.shape
     return Acceleration(
         voxels=voxels,
         channels=channels,
-        unit=snerg.unit,
+        unit=scene.unit,
         brick_base=base.reshape(-1),
-        brick_distance=chebyshev(occupied, 255).reshape(-1),
+        brick_distance=chebyshev_distance(occupied, MAX_BRICK_DISTANCE).reshape(-1),
         bricks=(x, y, z),
-        voxel_skip=_voxel_skip(tents),
+        voxel_skip=_voxel_skip(stencils),
     )
 
 
-def tent_bits(full: NDArray[Any]) -> NDArray[Any]:
-    """bool voxels [M, 32, 32, 32] to tents that hold something, uint32 [M, 32, 32] with z in the bits (z = 0 the lowest).
+def occupied_stencils(occupied: NDArray[Any]) -> NDArray[Any]:
+    """Occupied voxels, bool [M, 32, 32, 32], to occupied stencils, uint32 [M, 32, 32] with stencil z in bit z.
 
-    Tents past the cell's last voxel (index 31) are only as full as what of them is in the cell; no sample reaches them.
+    Stencils whose base is voxel 31 reach outside the cell; only their voxels inside count. No sample lies in them.
     """
-    bits = np.packbits(full, axis=-1, bitorder="little").view("<u4")[..., 0].astype(np.uint32)
+    bits = np.packbits(occupied, axis=-1, bitorder="little").view("<u4")[..., 0].astype(np.uint32)
     bits |= bits >> np.uint32(1)
     bits[:, :, :-1] |= bits[:, :, 1:]
     bits[:, :-1] |= bits[:, 1:]
     return bits
 
 
-def _bricks(indirection: NDArray[Any], tents: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Of each brick whether something is in the tents that a sample inside can touch, and its base (see `Acceleration`)."""
-    masks = np.array([((1 << (BRICK + 1)) - 1) << (BRICK * i) for i in range(BRICKS)], np.uint32)
-    found = (tents[..., None] & masks) != 0  # along z already by bricks: samples of brick i touch tents 6 i to 6 i + 6
+def _bricks(indirection: NDArray[Any], stencils: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Which bricks are occupied, bool [bricks x, y, z], and their `brick_base` (see Acceleration), of the same shape.
+
+    Samples in brick i of a cell lie in the stencils 6 i to 6 i + 6, both included.
+    """
+    masks = np.array([((1 << (BRICK_VOXELS + 1)) - 1) << (BRICK_VOXELS * i) for i in range(BRICKS_PER_BLOCK)], np.uint32)
+    found = (stencils[..., None] & masks) != 0  # [M, 32, 32, 5]
     for axis in (1, 2):
-        parts = [slice(BRICK * i, BRICK * i + BRICK + 1) for i in range(BRICKS)]
+        parts = [slice(BRICK_VOXELS * i, BRICK_VOXELS * i + BRICK_VOXELS + 1) for i in range(BRICKS_PER_BLOCK)]
         found = np.stack([found[(slice(None),) * axis + (part,)].any(axis=axis) for part in parts], axis=axis)
     shape = indirection.shape
-    occupied = np.zeros((*shape, BRICKS, BRICKS, BRICKS), bool)
-    full = indirection >= 0
-    occupied[full] = found[indirection[full]]
-    occupied = occupied.transpose(0, 3, 1, 4, 2, 5).reshape(*(n * BRICKS for n in shape))
+    occupied = np.zeros((*shape, BRICKS_PER_BLOCK, BRICKS_PER_BLOCK, BRICKS_PER_BLOCK), bool)
+    has_cell = indirection >= 0
+    occupied[has_cell] = found[indirection[has_cell]]
+    occupied = occupied.transpose(0, 3, 1, 4, 2, 5).reshape(*(n * BRICKS_PER_BLOCK for n in shape))
     corner = np.tensordot(np.indices(shape), np.array(STRIDES) * DATA_VOXELS, axes=(0, 0))
     base = np.maximum(indirection, 0).astype(np.int64) * CELL_VOXELS**3 - corner
     for axis in range(3):
-        base = base.repeat(BRICKS, axis=axis)
+        base = base.repeat(BRICKS_PER_BLOCK, axis=axis)
     return np.pad(occupied, (0, 1), mode="edge"), np.pad(base, (0, 1), mode="edge")
 
 
-def _voxel_skip(tents: NDArray[Any]) -> NDArray[Any]:
-    """See `Acceleration`; at least 1 where nothing is, at most MAX_SKIP."""
-    skip = np.zeros((len(tents), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
-    reached = tents.copy()
-    for distance in range(MAX_SKIP):
+def _voxel_skip(stencils: NDArray[Any]) -> NDArray[Any]:
+    """Acceleration.voxel_skip of occupied stencils uint32 [M, 32, 32]: how many dilations it takes to reach each stencil."""
+    skip = np.zeros((len(stencils), CELL_VOXELS, CELL_VOXELS, CELL_VOXELS), np.uint8)
+    reached = stencils.copy()
+    for distance in range(MAX_VOXEL_SKIP):
         if distance:
-            reached = _spread(reached, distance)
-        empty = np.unpackbits((~reached).astype("<u4").view(np.uint8).reshape(len(tents), CELL_VOXELS, -1), axis=-1, bitorder="little")
+            reached = _dilate_stencils(reached, distance)
+        empty = np.unpackbits((~reached).astype("<u4").view(np.uint8).reshape(len(stencils), CELL_VOXELS, -1), axis=-1, bitorder="little")
         skip += empty.reshape(skip.shape)
     return skip.reshape(-1)
 
 
-def _spread(bits: NDArray[Any], distance: int) -> NDArray[Any]:
-    """Tents [M, 32, 32] grown by one on each side, z in the bits. The block's neighbours may hold anything, and share its tents 0 and
-    30, so that those count as reached, and all that are `distance` away from them."""
+def _dilate_stencils(bits: NDArray[Any], distance: int) -> NDArray[Any]:
+    """Dilate stencils uint32 [M, 32, 32] by one in the maximum norm; the `distance`-th dilation.
+
+    A neighbouring block may hold anything in the stencils that it shares with this one, 0 and 30 along an axis. They count as occupied
+    from the first dilation on, so that all stencils within `distance` of them count as reached.
+    """
     bits = bits | (bits << np.uint32(1)) | (bits >> np.uint32(1))
     wide = bits.copy()
     wide[:, :, 1:] |= bits[:, :, :-1]
@@ -124,33 +136,33 @@ def _spread(bits: NDArray[Any], distance: int) -> NDArray[Any]:
     bits = wide.copy()
     bits[:, 1:] |= wide[:, :-1]
     bits[:, :-1] |= wide[:, 1:]
-    low, high = distance, DATA_VOXELS - distance  # up to where and from where the border has been reached
-    bits |= np.uint32((1 << low + 1) - 1 | (0xFFFFFFFF << high) & 0xFFFFFFFF)
-    bits[:, :, : low + 1] = bits[:, :, high:] = 0xFFFFFFFF
-    bits[:, : low + 1] = bits[:, high:] = 0xFFFFFFFF
+    low, high = distance, DATA_VOXELS - distance
+    bits |= np.uint32((1 << low + 1) - 1 | (ALL_BITS << high) & ALL_BITS)
+    bits[:, :, : low + 1] = bits[:, :, high:] = ALL_BITS
+    bits[:, : low + 1] = bits[:, high:] = ALL_BITS
     return bits
 
 
-def chebyshev(occupied: NDArray[Any], most: int) -> NDArray[Any]:
-    """Distance to the nearest True in the maximum norm, uint8, at most `most`."""
+def chebyshev_distance(occupied: NDArray[Any], limit: int) -> NDArray[Any]:
+    """Distance of each element to the nearest True in the maximum norm, at most `limit` and 255: uint8 [X, Y, Z] of bool [X, Y, Z]."""
     if not occupied.any():
-        return np.full(occupied.shape, min(most, 255), np.uint8)
+        return np.full(occupied.shape, min(limit, 255), np.uint8)
     distance = np.where(occupied, 0, 1).astype(np.uint8)
     reached = occupied.copy()
-    for _ in range(1, min(most, 255)):
+    for _ in range(1, min(limit, 255)):
         if reached.all():
             break
         for axis in range(reached.ndim):
-            reached = _wider(reached, axis)
+            reached = _dilate_axis(reached, axis)
         distance += ~reached
     return distance
 
 
-def _wider(mask: NDArray[Any], axis: int) -> NDArray[Any]:
-    """True also where a neighbour along the axis is."""
+def _dilate_axis(mask: NDArray[Any], axis: int) -> NDArray[Any]:
+    """A bool mask dilated by one element along an axis."""
     wide = mask.copy()
-    ahead, back = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim
-    ahead[axis], back[axis] = slice(1, None), slice(None, -1)
-    wide[tuple(back)] |= mask[tuple(ahead)]
-    wide[tuple(ahead)] |= mask[tuple(back)]
+    after, before = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim
+    after[axis], before[axis] = slice(1, None), slice(None, -1)
+    wide[tuple(before)] |= mask[tuple(after)]
+    wide[tuple(after)] |= mask[tuple(before)]
     return wide

@@ -1,4 +1,4 @@
-"""From the error that a pixel may have to the light at which its ray may stop."""
+"""Early ray termination: the transmittance at which a ray may stop so that every pixel stays within a given tolerance."""
 
 from __future__ import annotations
 
@@ -11,41 +11,45 @@ from numpy.typing import NDArray
 from ..nerf.model import ViewNetwork
 from ..scene.scene import Scene
 
-FILLED = 1.5  # how much steeper equation 9 makes what depends on alpha
-SCAN = 2**20  # voxels looked at together
+CORRECTION_SLOPE = 1.5  # largest derivative of the corrected opacity min(1, 1.5 alpha) by alpha (eq. 9)
+VOXELS_PER_CHUNK = 2**20  # voxels checked at once: bounds the temporary arrays
+MAX_STOP = 0.5  # a ray never stops with more transmittance left than this, however large the tolerance
 
 
-def stop_for(tolerance: float, snerg: Scene, per_sample_network: bool) -> float:
-    """The transmittance below which a ray may stop, so that no displayed value is further than `tolerance` from the endless march's.
+def stop_transmittance_for(tolerance: float, scene: Scene, per_sample_network: bool) -> float:
+    """The transmittance below which a ray may stop with an error of at most `tolerance` in every displayed value (0 to 1).
 
-    A ray that stops with light tau left has yet to gather opacity dA <= tau, and colour and features dC <= g tau, g being what
-    `excess` gives (1 where every colour is premultiplied as it should be); all are sums of what is not negative. Over a background b
-    in [0, 1] the pixel shows C + (1 - A) b + R(w, F), w = C + 1 - A, so that it is off by at most |dC - b dA| + |dR| <= g tau + |dR|.
-    R, the view-dependent residual (eq. 7), is given a w that is off by -tau to (g - 1) tau (the ray's dC - dA; see `excess`) and features
-    that are off by 0 to g tau: dR is bounded by `steepness`, tau times a constant of the weights. View dependence a sample adds at most
-    its opacity to the colour instead: g + 1.
+    Derivation. A ray that stops with transmittance tau left misses opacity dA <= tau, and colour and features dC <= g tau, where g is
+    `premultiplied_excess` (1 where every colour is at most its opacity). Over a background b in [0, 1] the pixel is
+    C + (1 - A) b + R(w, F) with w = C + 1 - A, so its error is at most |dC - b dA| + |dR| <= g tau + |dR|.
 
-    Equation 9 multiplies by f = min(1, 1.5 A) / A: its slope is 1.5 or 1 / A <= 1.5, so that A moves by at most 1.5 tau, and a value C
-    by f dC - C dA / A^2, between -1.5 g tau and 1.5 g tau.
+    The view-dependent residual R (eq. 7) gets w with an error of -tau to (g - 1) tau and features with an error of 0 to g tau;
+    `residual_bound` bounds |dR| by tau times a constant of the weights. With the network at every sample, R adds at most a sample's
+    opacity to its colour instead: the bound is (g + 1) tau.
+
+    The opacity correction (eq. 9) multiplies by f = min(1, 1.5 A) / A. Its slope is 1.5 or 1 / A <= 1.5, so A changes by at most 1.5 tau,
+    and a value C by f dC - C dA / A^2, which lies between -1.5 g tau and 1.5 g tau.
     """
-    grows = excess(snerg)
-    if snerg.network is not None and per_sample_network:
-        grows += 1
-    low, high = np.array([-1.0] * 3 + [0.0] * 4), np.array([grows - 1] * 3 + [grows] * 4)
-    slope = grows
-    if snerg.opacity_correction:
-        high = np.full(7, FILLED * grows)
-        low = -high - np.array([FILLED] * 3 + [0.0] * 4)
-        slope = FILLED * (grows + 1)
-    if snerg.network is not None and not per_sample_network:
-        slope += steepness(snerg.network, low, high)
-    return min(tolerance / slope, 0.5)
+    excess = premultiplied_excess(scene)
+    if scene.network is not None and per_sample_network:
+        excess += 1
+    low, high = np.array([-1.0] * 3 + [0.0] * 4), np.array([excess - 1] * 3 + [excess] * 4)
+    slope = excess
+    if scene.opacity_correction:
+        high = np.full(7, CORRECTION_SLOPE * excess)
+        low = -high - np.array([CORRECTION_SLOPE] * 3 + [0.0] * 4)
+        slope = CORRECTION_SLOPE * (excess + 1)
+    if scene.network is not None and not per_sample_network:
+        slope += residual_bound(scene.network, low, high)
+    return min(tolerance / slope, MAX_STOP)
 
 
-def steepness(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
-    """At most how far the residual moves when what the network sees of the ray [7] (colour over white, features) moves by something
-    between `low` and `high`, whatever it sees: interval arithmetic on the difference. A ReLU moves by something between 0 and what
-    its input moves by, the sigmoid by at most a quarter of that."""
+def residual_bound(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
+    """The largest possible change of the residual (eq. 7) when colour and features change by something between `low` and `high`, both [7].
+
+    Interval arithmetic on the change, layer by layer; it holds for every input. A ReLU's output changes by something between 0 and the
+    change of its input, a sigmoid's by at most a quarter of it.
+    """
     for layer, weights in enumerate((network.weights_0, network.weights_1, network.weights_2)):
         kernel = np.asarray(weights, np.float64)[-len(low) :]
         up, down = np.maximum(kernel, 0), np.minimum(kernel, 0)
@@ -55,27 +59,32 @@ def steepness(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> fl
     return float(np.maximum(-low, high).max()) / 4
 
 
-_excess: WeakKeyDictionary[Scene, float] = WeakKeyDictionary()
+_excess_cache: WeakKeyDictionary[Scene, float] = WeakKeyDictionary()
 
 
-def excess(snerg: Scene) -> float:
-    """g >= 1, so that colours and features that a ray gathers past some point are together at most g times the light there was.
+def premultiplied_excess(scene: Scene) -> float:
+    """g >= 1: colour and features composited behind any point of a ray are at most g times the transmittance there.
 
-    In a voxel a value c may be above opacity a (rounded one by one, or not baked by us). c <= r a everywhere, or c <= a + e,
-    holds for what is interpolated as well, and summed over a ray of n samples gives g = r, or g = 1 + e n; the smaller one counts.
-    Both leave the sum of c - a at most (g - 1) times the light.
+    A stored value c may exceed its opacity a, by rounding each channel or in scenes that other programs baked. If c <= r a in all voxels,
+    or c <= a + e, the same holds after interpolation. Summed over a ray of n samples this gives g = r, or g = 1 + e n; the smaller counts.
+    In both cases the sum of c - a is at most g - 1 times the transmittance. Computed once a scene.
     """
-    found = _excess.get(snerg)
-    if found is None:
-        flat = snerg.cells.reshape(-1, snerg.cells.shape[-1])
-        ratio, above = 1.0, 0.0
-        for start in range(0, len(flat), SCAN):
-            part = flat[start : start + SCAN]
-            part = part[(part[:, :-1] > part[:, -1:]).any(axis=-1)].astype(np.float64)
-            if len(part):
-                most, alpha = part[:, :-1].max(axis=-1), part[:, -1]
-                above = max(above, float((most - alpha).max()))
-                ratio = max(ratio, float(np.max(most / alpha)) if alpha.all() else np.inf)
-        samples = float(np.linalg.norm(snerg.shape)) + 1
-        found = _excess[snerg] = min(ratio, 1 + above / snerg.unit * samples)
-    return found
+    excess = _excess_cache.get(scene)
+    if excess is None:
+        ratio, difference = _largest_excess(scene.cells.reshape(-1, scene.cells.shape[-1]))
+        samples = float(np.linalg.norm(scene.shape)) + 1
+        excess = _excess_cache[scene] = min(ratio, 1 + difference / scene.unit * samples)
+    return excess
+
+
+def _largest_excess(voxels: NDArray[Any]) -> tuple[float, float]:
+    """The largest ratio (at least 1) and difference (at least 0, in stored units) of a value and its opacity in voxels [N, C]."""
+    ratio, difference = 1.0, 0.0
+    for start in range(0, len(voxels), VOXELS_PER_CHUNK):
+        part = voxels[start : start + VOXELS_PER_CHUNK]
+        part = part[(part[:, :-1] > part[:, -1:]).any(axis=-1)].astype(np.float64)
+        if len(part):
+            largest, alpha = part[:, :-1].max(axis=-1), part[:, -1]
+            difference = max(difference, float((largest - alpha).max()))
+            ratio = max(ratio, float(np.max(largest / alpha)) if alpha.all() else np.inf)
+    return ratio, difference

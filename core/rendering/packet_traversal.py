@@ -1,4 +1,4 @@
-"""From rays of the world to where they first may meet something in the grid, in voxels."""
+"""Packet traversal: from rays in the world to the first sample of each that can hit something, found for 64 neighbouring rays at once."""
 
 from __future__ import annotations
 
@@ -9,116 +9,147 @@ from numpy.typing import NDArray
 
 from ..geometry.ndc import space_rays
 from ..scene.scene import Scene
-from .acceleration import BRICK, Acceleration
-from .ray_marcher import HAIR
-from .ray_queue import Rays
+from .acceleration import BRICK_VOXELS, Acceleration
+from .ray_marcher import STEP_EPSILON
+from .ray_queue import RayBatch
 
-BUNDLE = 64  # neighbouring rays that go through empty space together
+PACKET_RAYS = 64  # consecutive rays that traverse empty space together: a tile of 8 x 8 pixels
+UNBOUNDED = 1e9  # voxels: a distance along an axis that no ray in a grid reaches
+PARALLEL_EPSILON = 1e-12  # magnitude of a direction's component (float64) below which the ray is parallel to the slab's faces
 
 
-def enter(
-    snerg: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
+def intersect_grid(
+    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Rays of the world in voxel coordinates, re-based to where they enter the grid.
+    """Clip rays of the world against the grid (slab test) and express them in voxels.
 
-    Returns point of entry and direction [3, N] (both float32), and the distances in voxels [N] at which the
-    ray starts and stops, from where it begins (the eye, or NDC's near plane); stop is -1 where it misses. Everything up to here is
-    float64, so a scene far from the origin is as steady as one at it (hard case 6); a direction of 0 along an axis is a miss or all
-    of it (31, 32).
+    origins, directions: [N, 3] float64, directions of unit length. near: world units along the ray.
+
+    Returns the entry point and the unit direction, both [3, N] float32 in voxel coordinates, and the distances [N] float64, in voxels
+    from the ray's origin (in NDC: from the near plane), at which the ray enters and leaves the grid; the latter is -1 for a miss.
+
+    Float64 up to the entry point keeps scenes far from the origin exact (hard case 6). A ray parallel to a face is either inside that
+    slab for its whole length or misses the grid (hard cases 31, 32).
     """
-    rotation = snerg.grid_to_world[:3, :3]
-    origins, directions, begins, _ = space_rays(snerg.ndc, origins, directions, near)
-    local = rotation.T @ (origins - snerg.grid_to_world[:3, 3]).T
-    local /= snerg.voxel_size
-    towards = rotation.T @ directions.T
-    start, stop = begins / snerg.voxel_size, np.full(len(origins), np.inf)
-    first = np.full(len(origins), -np.inf)
-    for place, along, size in zip(local, towards, snerg.shape, strict=True):
-        flat = np.abs(along) < 1e-12
-        inverse = 1 / np.where(flat, 1, along)
-        low, high = -place * inverse, (size - place) * inverse
-        inside = (place >= 0) & (place <= size)
-        np.maximum(first, np.where(flat, np.where(inside, -np.inf, np.inf), np.minimum(low, high)), out=first)
-        np.minimum(stop, np.where(flat, np.where(inside, np.inf, -np.inf), np.maximum(low, high)), out=stop)
-    start = np.maximum(first, start)
-    met = (start < stop) & (first < stop) & np.isfinite(start)
-    start = np.where(met, start, 0)
-    local += towards * start
-    return local.astype(np.float32), towards.astype(np.float32), start, np.where(met, stop, -1)
+    rotation = scene.grid_to_world[:3, :3]
+    origins, directions, begins, _ = space_rays(scene.ndc, origins, directions, near)
+    local = rotation.T @ (origins - scene.grid_to_world[:3, 3]).T
+    local /= scene.voxel_size
+    local_directions = rotation.T @ directions.T
+    start, stop = begins / scene.voxel_size, np.full(len(origins), np.inf)
+    enters = np.full(len(origins), -np.inf)
+    for origin, direction, size in zip(local, local_directions, scene.shape, strict=True):
+        parallel = np.abs(direction) < PARALLEL_EPSILON
+        inverse = 1 / np.where(parallel, 1, direction)
+        low, high = -origin * inverse, (size - origin) * inverse
+        inside = (origin >= 0) & (origin <= size)
+        np.maximum(enters, np.where(parallel, np.where(inside, -np.inf, np.inf), np.minimum(low, high)), out=enters)
+        np.minimum(stop, np.where(parallel, np.where(inside, np.inf, -np.inf), np.maximum(low, high)), out=stop)
+    start = np.maximum(enters, start)
+    hit = (start < stop) & (enters < stop) & np.isfinite(start)
+    start = np.where(hit, start, 0)
+    local += local_directions * start
+    return local.astype(np.float32), local_directions.astype(np.float32), start, np.where(hit, stop, -1)
 
 
-def approach(
-    tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], stop: NDArray[Any], skip: bool, first: int = 0
-) -> Rays:
-    """What `enter` found as rays ready to march: those that may meet something, at the first sample that can matter. first: the number
-    of the first of them."""
-    ends = np.ceil(stop - start - 0.5).astype(np.float32)
-    ready = ends > 0
-    t = np.full(len(ends), np.float32(0.5))
-    if skip and ready.any():
-        t += bundled(tables, entry, direction, start, ends, ready)
-        ready &= t < ends
-    index = np.flatnonzero(ready)
-    moving = np.concatenate([entry[:, index], direction[:, index], t[None, index], ends[None, index]])
-    return Rays.new(index + first, moving, tables.channels)
+def start_batch(
+    acceleration: Acceleration,
+    entry: NDArray[Any],
+    direction: NDArray[Any],
+    start: NDArray[Any],
+    stop: NDArray[Any],
+    skip: bool,
+    first_index: int = 0,
+) -> RayBatch:
+    """The rays of `intersect_grid` that may hit an occupied voxel, each at its first relevant sample.
+
+    entry, direction: [3, N]; start, stop: [N] (see `intersect_grid`). skip: traverse empty space first; otherwise every ray starts where it
+    enters the grid. first_index: number of the first ray.
+    """
+    t_end = np.ceil(stop - start - 0.5).astype(np.float32)
+    hits = t_end > 0
+    t = np.full(len(t_end), np.float32(0.5))
+    if skip and hits.any():
+        t += skip_by_packets(acceleration, entry, direction, start, t_end, hits)
+        hits &= t < t_end
+    index = np.flatnonzero(hits)
+    state = np.concatenate([entry[:, index], direction[:, index], t[None, index], t_end[None, index]])
+    return RayBatch.unmarched(index + first_index, state, acceleration.channels)
 
 
-def bundled(
-    tables: Acceleration, entry: NDArray[Any], direction: NDArray[Any], start: NDArray[Any], ends: NDArray[Any], ready: NDArray[Any]
+def skip_by_packets(
+    acceleration: Acceleration,
+    entry: NDArray[Any],
+    direction: NDArray[Any],
+    start: NDArray[Any],
+    t_end: NDArray[Any],
+    hits: NDArray[Any],
 ) -> NDArray[Any]:
-    """How many samples of each ray [N] come before anything that its bundle could meet: float32, whole numbers.
+    """Samples [N] float32 (whole numbers) that each ray may skip because its packet is still in empty space.
 
-    At a distance s a bundle is a cube around a ray of its own, which grows in proportion to s; the bundle goes on as long as that
-    cube is among empty bricks. s is counted for all from the place of the first of its rays to enter the grid.
+    A packet is bounded by a cube around a central ray, whose half side grows linearly with the distance s. The packet goes on while this
+    cube lies in empty bricks. s is measured from where the packet's first ray enters the grid. hits: bool [N], the rays in the grid.
     """
-    count = len(ends)
-    groups = -(-count // BUNDLE)
+    count = len(t_end)
+    packets = -(-count // PACKET_RAYS)
 
-    def grouped(values: NDArray[Any]) -> NDArray[Any]:
-        missing = groups * BUNDLE - count
+    def by_packet(values: NDArray[Any]) -> NDArray[Any]:
+        """[..., N] to [..., packets, 64]; the last ray is repeated in the last packet."""
+        missing = packets * PACKET_RAYS - count
         padded = np.concatenate([values, values[..., -1:].repeat(missing, axis=-1)], axis=-1) if missing else values
-        return padded.reshape(*values.shape[:-1], groups, BUNDLE)
+        return padded.reshape(*values.shape[:-1], packets, PACKET_RAYS)
 
-    there = grouped(ready)
-    some = there.any(axis=-1)
-    begins = np.where(there, grouped(start), np.inf).min(axis=-1)
-    begins = np.where(some, begins, 0)
-    lag = np.where(ready, start - begins.repeat(BUNDLE)[:count], 0).astype(np.float32)
-    place = grouped(entry - direction * lag)
-    low, high = np.where(there, place, np.inf).min(axis=-1), np.where(there, place, -np.inf).max(axis=-1)
-    low, high = np.where(some, low, 0), np.where(some, high, 0)
-    toward = grouped(direction)
-    slow, fast = toward.min(axis=-1), toward.max(axis=-1)
-    last = np.where(there, grouped(ends + lag), -np.inf).max(axis=-1)
-    reached = advance(tables, (low + high) / 2, (slow + fast) / 2, (high - low) / 2, (fast - slow) / 2, last)
-    return np.maximum(np.ceil(reached.repeat(BUNDLE)[:count] - lag - (HAIR + np.float32(0.5))), 0)
+    used = by_packet(hits)
+    any_used = used.any(axis=-1)
+    packet_start = np.where(used, by_packet(start), np.inf).min(axis=-1)
+    packet_start = np.where(any_used, packet_start, 0)
+    lag = np.where(hits, start - packet_start.repeat(PACKET_RAYS)[:count], 0).astype(np.float32)
+    point = by_packet(entry - direction * lag)
+    low, high = np.where(used, point, np.inf).min(axis=-1), np.where(used, point, -np.inf).max(axis=-1)
+    low, high = np.where(any_used, low, 0), np.where(any_used, high, 0)
+    directions = by_packet(direction)
+    least, most = directions.min(axis=-1), directions.max(axis=-1)
+    last = np.where(used, by_packet(t_end + lag), -np.inf).max(axis=-1)
+    reached = empty_distance(acceleration, (low + high) / 2, (least + most) / 2, (high - low) / 2, (most - least) / 2, last)
+    skipped: NDArray[Any] = np.ceil(reached.repeat(PACKET_RAYS)[:count] - lag - (STEP_EPSILON + np.float32(0.5)))
+    return np.maximum(skipped, 0)
 
 
-def advance(
-    tables: Acceleration, centre: NDArray[Any], along: NDArray[Any], radius: NDArray[Any], growth: NDArray[Any], last: NDArray[Any]
+def empty_distance(
+    acceleration: Acceleration,
+    centre: NDArray[Any],
+    direction: NDArray[Any],
+    half_size: NDArray[Any],
+    growth: NDArray[Any],
+    last: NDArray[Any],
 ) -> NDArray[Any]:
-    """Distance [G] up to which a cube around centre + s * along, of half a side radius + s * growth (all [3, G]), meets nothing
-    that is not empty; at least `last` where that is nowhere."""
-    bricks = np.array(tables.bricks)[:, None]
-    strides = np.array([tables.bricks[1] * tables.bricks[2], tables.bricks[2], 1])
+    """Distance s [P] float32, voxels, up to which a growing box of each packet lies in empty bricks; at least `last` if it leaves the grid.
+
+    The box has its centre at centre + s * direction and the half size half_size + s * growth, all [3, P]. last: [P].
+    """
+    bricks = np.array(acceleration.bricks)[:, None]
+    strides = np.array([acceleration.bricks[1] * acceleration.bricks[2], acceleration.bricks[2], 1])
     reached = np.zeros(len(last), np.float32)
     rows = np.flatnonzero(last > 0)
     while len(rows):
         s = reached[rows]
-        point = centre[:, rows] + along[:, rows] * s
-        brick = np.clip((point * np.float32(1 / BRICK)).astype(np.int64), 0, bricks - 1)
-        empty = tables.brick_distance.take(strides @ brick).astype(np.int64)
-        # The cube of empty bricks; past the grid's own faces there is nothing.
-        lowest = np.where(brick - empty < 0, -np.inf, BRICK * (brick - empty + 1))
-        highest = np.where(brick + empty >= bricks, np.inf, BRICK * (brick + empty))
-        half = radius[:, rows] + growth[:, rows] * s
-        behind, ahead = point - half - lowest, highest - point - half
-        steps = np.minimum(ahead / np.maximum(along[:, rows] + growth[:, rows], 1e-9), 1e9)
-        steps = np.where(along[:, rows] + growth[:, rows] > 0, steps, 1e9)
-        back = growth[:, rows] - along[:, rows]
-        steps = np.minimum(steps, np.where(back > 0, behind / np.maximum(back, 1e-9), 1e9)).min(axis=0)
-        inside = (np.minimum(behind, ahead).min(axis=0) >= 0) & (empty > 0)
+        point = centre[:, rows] + direction[:, rows] * s
+        brick = np.clip((point * np.float32(1 / BRICK_VOXELS)).astype(np.int64), 0, bricks - 1)
+        empty = acceleration.brick_distance.take(strides @ brick).astype(np.int64)
+        # The cube of empty bricks around the centre's brick; outside the grid everything is empty.
+        lowest = np.where(brick - empty < 0, -np.inf, BRICK_VOXELS * (brick - empty + 1))
+        highest = np.where(brick + empty >= bricks, np.inf, BRICK_VOXELS * (brick + empty))
+        half = half_size[:, rows] + growth[:, rows] * s
+        room_below, room_above = point - half - lowest, highest - point - half
+        steps = _until_passed(room_above, growth[:, rows] + direction[:, rows])
+        steps = np.minimum(steps, _until_passed(room_below, growth[:, rows] - direction[:, rows])).min(axis=0)
+        inside = (np.minimum(room_below, room_above).min(axis=0) >= 0) & (empty > 0)
         steps = np.where(inside, steps, 0)
         reached[rows] += steps
         rows = rows[(steps >= 1) & (reached[rows] < last[rows])]
     return reached
+
+
+def _until_passed(room: NDArray[Any], speed: NDArray[Any]) -> NDArray[Any]:
+    """Distance [3, P] after which a face that moves at `speed` has used up its room; at most UNBOUNDED, also for one that moves away."""
+    return np.where(speed > 0, np.minimum(room / np.maximum(speed, 1e-9), UNBOUNDED), UNBOUNDED)

@@ -1,7 +1,7 @@
-"""Rays on their way through the grid, a batch at a time, in NumPy.
+"""Marches batches of rays through a baked scene, in NumPy (section 5.2).
 
-A batch is what fits the caches. Its rays move on together, and as some end new ones take their places. What rays carry lies in one row
-a quantity: NumPy is fast on long plain arrays, and slow on rows of three.
+One batch fits the processor's caches. All its rays take a step together; when many have ended, new rays take their places. Each quantity
+of a ray lies in a row of its own (RayBatch.state): NumPy is fast on long rows and slow on rows of three.
 """
 
 from __future__ import annotations
@@ -14,273 +14,251 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .acceleration import BRICK, STRIDES, Acceleration
-from .ray_queue import FEW, RayQueue, Rays
+from .acceleration import BRICK_VOXELS, STRIDES, Acceleration
+from .interpolator import MAX_INTERPOLATED, Interpolator
+from .ray_queue import DIRECTION, DONATE_BELOW, ENTRY, T_END, RayBatch, RayQueue, T
 
-CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-AHEAD = 4  # samples of a ray that are taken together
-SLICE = 32768  # samples interpolated together, so many that threads rarely wait for Python
-HAIR = np.float32(1e-2)  # voxels by which a jump falls short of where it could end, far more than rounding
-STILL = np.float32(1e-7)  # a direction with less than this along an axis takes forever to leave a brick there
+# Samples of a ray that are composited together from an occupied stencil on: the next stencils are mostly occupied too, and the samples
+# share the overhead of each NumPy call.
+SAMPLES_PER_PASS = 4
+STEP_EPSILON = np.float32(1e-2)  # voxels by which a jump stays short of the computed exit; the spacing of float32 at 4096 voxels is 5e-4
+PARALLEL_EPSILON = np.float32(1e-7)  # smallest magnitude of a direction's component that is divided by
+COMPACT_BELOW = 0.85  # share of a batch's rays still marching below which the ended ones are replaced; replacing copies the batch
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """Of all rays, written as they end: values [N, C] and transmittance [N], float32 (see `Rays`)."""
+class MarchOutput:
+    """Results of all rays of a march, filled in as rays end: values [N, C] and transmittance [N], float32 (see RayBatch)."""
 
     values: NDArray[Any]
-    through: NDArray[Any]
+    transmittance: NDArray[Any]
 
 
-Residual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
-"""(colour [n, 3] over white, features [n, 4], number of the ray [n]) to what view dependence adds to the colour [n, 3]."""
+ViewResidual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
+"""(straight colour [n, 3], straight features [n, 4], ray numbers [n]) to the view-dependent residual [n, 3] of eq. 7."""
 
 
 class RayMarcher:
-    """One batch.
+    """Marches one batch of rays, refilled from a queue; each thread has its own.
 
-    supply: where rays are from, which may be handed on there again. into: what comes of them. stop: a ray ends when less light than this
-    passes. skip: whether it jumps over what is empty. visited: bool [M * 32^3] or None, set at voxels nearest to a sample that
-    something is near to. residual: view dependence at every sample, None where there is none or it follows a pixel.
+    queue: source of the rays, to which few remaining ones may be donated. output: where finished rays are written.
+    batch_size: rays marched together. stop_transmittance: a ray ends when its transmittance is not above this.
+    skip: jump over empty bricks and voxels; without, every sample is visited, with the same result.
+    visited: bool [M * 32^3] or None; set to True at the voxel nearest to each sample whose stencil is occupied.
+    view_residual: evaluates view dependence at every sample (the ablation of table 1); None evaluates none.
+    cancelled: asked once a step; True ends the march.
     """
 
     def __init__(
         self,
-        tables: Acceleration,
-        supply: RayQueue,
-        into: Gathered,
-        batch: int,
-        stop: float,
+        acceleration: Acceleration,
+        queue: RayQueue,
+        output: MarchOutput,
+        batch_size: int,
+        stop_transmittance: float,
         skip: bool = True,
         visited: NDArray[Any] | None = None,
-        residual: Residual | None = None,
+        view_residual: ViewResidual | None = None,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> None:
-        self.tables, self.supply, self.into, self.batch = tables, supply, into, batch
-        self.stop, self.skip, self.visited, self.residual, self.cancelled = np.float32(stop), skip, visited, residual, cancelled
-        self.interpolate = Interpolate(tables)
-        self.exact = np.float32 if math.prod(tables.bricks) < 2**24 else np.float64
+        self.acceleration, self.queue, self.output, self.batch_size = acceleration, queue, output, batch_size
+        self.stop_transmittance, self.skip, self.cancelled = np.float32(stop_transmittance), skip, cancelled
+        self.visited, self.view_residual = visited, view_residual
+        self.interpolate = Interpolator(acceleration)
+        # Brick numbers are computed in floats, which are exact up to 2^24 (single precision).
+        self.number_type = np.float32 if math.prod(acceleration.bricks) < 2**24 else np.float64
         self.samples = 0
-        self.hold(Rays.new(np.zeros(0, np.int64), np.zeros((8, 0), np.float32), tables.channels))
+        self.set_batch(RayBatch.empty(acceleration.channels))
 
-    def hold(self, rays: Rays) -> None:
-        """Make these the batch."""
-        self.index, self.moving, self.light, self.values = rays.index, rays.moving, rays.light, rays.values
-        self.alive = np.ones(len(self.index), bool)
+    def set_batch(self, rays: RayBatch) -> None:
+        """March these rays next."""
+        self.rays = rays
+        self.index, self.transmittance, self.values = rays.index, rays.transmittance, rays.values
+        self.entry, self.direction = rays.state[ENTRY], rays.state[DIRECTION]  # views: one name a row
+        self.t, self.t_end = rays.state[T], rays.state[T_END]
+        self.alive = np.ones(len(rays.index), bool)
 
     def run(self) -> None:
-        """March all that there is; returns early when `cancelled` says so."""
-        self.pack()
+        """March until the queue is empty; returns early when `cancelled` says so."""
+        self.compact()
         while len(self.index) and not self.cancelled():
-            self.advance()
-            np.less(self.moving[6], self.moving[7], out=self.alive)
-            self.alive &= self.light > self.stop
-            if np.count_nonzero(self.alive) < 0.85 * len(self.alive):
-                self.pack()
+            self.step()
+            np.less(self.t, self.t_end, out=self.alive)
+            self.alive &= self.transmittance > self.stop_transmittance
+            if np.count_nonzero(self.alive) < COMPACT_BELOW * len(self.alive):
+                self.compact()
 
-    def pack(self) -> None:
-        """Write down the rays that have ended, keep the others, and begin as many new ones as the batch has room for."""
+    def compact(self) -> None:
+        """Write out the rays that have ended and refill the batch from the queue."""
         ended = np.flatnonzero(~self.alive)
-        self.into.values[self.index[ended]] = self.values[ended]
-        self.into.through[self.index[ended]] = self.light[ended]
-        self.supply.count(len(ended), self.samples)
+        self.output.values[self.index[ended]] = self.values[ended]
+        self.output.transmittance[self.index[ended]] = self.transmittance[ended]
+        self.queue.record(len(ended), self.samples)
         self.samples = 0
-        rays = Rays(self.index, self.moving, self.light, self.values).only(np.flatnonzero(self.alive))
-        rays = Rays.joined([rays, *self.begin(self.batch - len(rays.index), not len(rays.index))])
-        if 0 < len(rays.index) <= FEW and self.supply.hand(rays):
-            rays = rays.some(slice(0))
-        self.hold(rays)
-        self.prepare()
+        rays = self.rays.take(np.flatnonzero(self.alive))
+        rays = RayBatch.concatenate([rays, *self.take_rays(self.batch_size - len(rays.index), not len(rays.index))])
+        if 0 < len(rays.index) <= DONATE_BELOW and self.queue.donate(rays):
+            rays = rays.part(slice(0))
+        self.set_batch(rays)
+        self.allocate()
 
-    def begin(self, room: int, idle: bool) -> list[Rays]:
-        """Up to `room` more rays. idle: there are none at present."""
-        new: list[Rays] = []
-        while room > 0 and not self.cancelled() and (more := self.supply.take(room, idle)) is not None:
-            new.append(more)
-            room -= len(more.index)
-            idle &= not len(more.index)
-        return new
+    def take_rays(self, limit: int, idle: bool) -> list[RayBatch]:
+        """At most `limit` rays from the queue, in parts. idle: the batch is empty."""
+        parts: list[RayBatch] = []
+        while limit > 0 and not self.cancelled() and (part := self.queue.take(limit, idle)) is not None:
+            parts.append(part)
+            limit -= len(part.index)
+            idle &= not len(part.index)
+        return parts
 
-    def prepare(self) -> None:
-        """What follows from the directions, and room for what `advance` computes."""
-        direction, count = self.moving[3:6], len(self.index)
-        inverse = 1 / np.where(np.abs(direction) < STILL, STILL, direction)
-        self.turns = np.float32(BRICK) * inverse  # t to cross a brick
-        self.span = np.abs(inverse)
-        self.pace = np.minimum(np.minimum(self.span[0], self.span[1]), self.span[2])  # t to move a voxel along the fastest axis
-        self.point, self.brick, self.within, self.exit = (np.empty((3, count), np.float32) for _ in range(4))
-        self.reach, self.ahead = np.empty(count, np.float32), np.empty(count, np.float32)
+    def allocate(self) -> None:
+        """Compute what depends on the directions alone, and allocate the buffers of `step`."""
+        count = len(self.index)
+        inverse = 1 / np.where(np.abs(self.direction) < PARALLEL_EPSILON, PARALLEL_EPSILON, self.direction)
+        self.brick_t = np.float32(BRICK_VOXELS) * inverse  # [3, N] signed t to cross a brick along each axis
+        self.voxel_t = np.abs(inverse)  # [3, N] t to cross a voxel along each axis
+        self.fastest_voxel_t = np.minimum(np.minimum(self.voxel_t[0], self.voxel_t[1]), self.voxel_t[2])  # [N] least of the three
+        self.point, self.brick, self.brick_offset, self.exit_t = (np.empty((3, count), np.float32) for _ in range(4))
+        self.half_width, self.advance = np.empty(count, np.float32), np.empty(count, np.float32)
         self.distance = np.empty(count, np.uint8)
 
-    def advance(self) -> None:
-        """Take the sample that each ray stands at, and move it to the next that can matter."""
-        entry, direction, t = self.moving[:3], self.moving[3:6], self.moving[6]
-        np.multiply(direction, t, out=self.point)
-        self.point += entry
-        self.locate()
-        near = np.flatnonzero((self.distance == 0) & self.alive)
+    def step(self) -> None:
+        """Composite the current sample of each ray where its stencil is occupied, and move the ray to its next relevant sample."""
+        np.multiply(self.direction, self.t, out=self.point)
+        self.point += self.entry
+        self.locate_bricks()
+        in_occupied_brick = np.flatnonzero((self.distance == 0) & self.alive)
         if self.skip:
-            self.leave()
+            self.skip_empty_bricks()
         else:
-            self.ahead.fill(1)
-        if len(near):
-            self.look(near)
-        t += self.ahead
+            self.advance.fill(1)
+        if len(in_occupied_brick):
+            self.march_occupied_bricks(in_occupied_brick)
+        self.t += self.advance
 
-    def locate(self) -> None:
-        """In which brick each ray stands, where within it (-0.5 to 0.5), and how far the nearest is that holds something."""
-        np.multiply(self.point, np.float32(1 / BRICK), out=self.within)
-        np.trunc(self.within, out=self.brick)
-        self.within -= self.brick
-        self.within -= np.float32(0.5)
-        self.number = self.numbered(self.brick)
-        self.tables.brick_distance.take(self.number, out=self.distance, mode="clip")
+    def locate_bricks(self) -> None:
+        """Find the brick of each ray's point, the offset from the brick's centre (-0.5 to 0.5 bricks) and `brick_distance`."""
+        np.multiply(self.point, np.float32(1 / BRICK_VOXELS), out=self.brick_offset)
+        np.trunc(self.brick_offset, out=self.brick)
+        self.brick_offset -= self.brick
+        self.brick_offset -= np.float32(0.5)
+        self.brick_number = self.flat_brick_number(self.brick)
+        self.acceleration.brick_distance.take(self.brick_number, out=self.distance, mode="clip")
 
-    def numbers(self, point: NDArray[Any]) -> NDArray[Any]:
-        """The bricks [n] that points [3, n] are in."""
-        brick = point * np.float32(1 / BRICK)
-        return self.numbered(np.trunc(brick, out=brick))
+    def brick_number_at(self, point: NDArray[Any]) -> NDArray[Any]:
+        """Numbers [n] of the bricks that contain points [3, n], in voxels."""
+        brick = point * np.float32(1 / BRICK_VOXELS)
+        return self.flat_brick_number(np.trunc(brick, out=brick))
 
-    def numbered(self, brick: NDArray[Any]) -> NDArray[Any]:
-        """Numbers of bricks [n] from where they are [3, n]; computed in floats, of which the larger ones are for grids of 2^24 bricks."""
-        _, y, z = self.tables.bricks
-        place = np.multiply(brick[0], self.exact(y), dtype=self.exact)
-        place += brick[1]
-        place *= self.exact(z)
-        place += brick[2]
-        return place.astype(np.int64)
+    def flat_brick_number(self, brick: NDArray[Any]) -> NDArray[Any]:
+        """Numbers [n] int64 of bricks at coordinates [3, n], x slowest; float32 whole numbers."""
+        _, y, z = self.acceleration.bricks
+        number: NDArray[Any] = np.multiply(brick[0], self.number_type(y), dtype=self.number_type)
+        number += brick[1]
+        number *= self.number_type(z)
+        number += brick[2]
+        return number.astype(np.int64)
 
-    def leave(self) -> None:
-        """t to the first sample outside the cube of empty bricks around each ray's (a hair early, never late)."""
-        np.multiply(self.distance, np.float32(BRICK), out=self.reach)
-        self.reach -= np.float32(BRICK / 2)
-        np.multiply(self.span, self.reach, out=self.exit)
-        self.within *= self.turns
-        self.exit -= self.within
-        ahead = self.ahead
-        np.minimum(self.exit[0], self.exit[1], out=ahead)
-        np.minimum(ahead, self.exit[2], out=ahead)
-        ahead -= HAIR
-        np.maximum(ahead, 0, out=ahead)
-        np.trunc(ahead, out=ahead)
-        ahead += 1
+    def skip_empty_bricks(self) -> None:
+        """Set `advance` to the whole t that leaves the cube of empty bricks around each ray's brick: STEP_EPSILON early, never late.
 
-    def look(self, near: NDArray[Any]) -> None:
-        """Rays [n] in bricks that hold something: jump within the brick, or take samples."""
-        first, _ = self.tents(self.point.take(near, axis=1), self.number.take(near))
-        distance = self.tables.voxel_skip.take(first)
-        if self.skip:
-            jump = np.maximum(distance, 1).astype(np.float32)
-            jump -= 1
-            jump *= self.pace.take(near)
-            self.ahead[near] = np.trunc(jump) + 1
-        hit = near[distance == 0]
-        for start in range(0, len(hit), SLICE // AHEAD):
-            self.sample(hit[start : start + SLICE // AHEAD])
-
-    def tents(self, point: NDArray[Any], number: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """First voxel [n] of the tents that points [3, n] in bricks [n] are in, and where in them [3, n], which overwrites the points."""
-        point += np.float32(0.5)
-        tent = np.trunc(point)
-        point -= tent
-        tent[0] *= np.float32(STRIDES[0])
-        tent[1] *= np.float32(STRIDES[1])
-        tent[0] += tent[1]
-        tent[0] += tent[2]
-        first = self.tables.brick_base.take(number, mode="clip")
-        first += tent[0].astype(np.int64)
-        return first, point
-
-    def sample(self, rows: NDArray[Any]) -> None:
-        """Composite the next AHEAD samples of rays [n] that stand where something is, front to back.
-
-        Rays that meet something mostly go on doing so; taking several samples at once shares what is spent on each.
+        A brick at distance d of the nearest occupied one is the centre of an empty cube of 2 d - 1 bricks.
         """
+        np.multiply(self.distance, np.float32(BRICK_VOXELS), out=self.half_width)
+        self.half_width -= np.float32(BRICK_VOXELS / 2)
+        np.multiply(self.voxel_t, self.half_width, out=self.exit_t)
+        self.brick_offset *= self.brick_t
+        self.exit_t -= self.brick_offset
+        advance = self.advance
+        np.minimum(self.exit_t[0], self.exit_t[1], out=advance)
+        np.minimum(advance, self.exit_t[2], out=advance)
+        advance -= STEP_EPSILON
+        np.maximum(advance, 0, out=advance)
+        np.trunc(advance, out=advance)
+        advance += 1
+
+    def march_occupied_bricks(self, rows: NDArray[Any]) -> None:
+        """For rays [n] in occupied bricks: skip empty voxels inside the brick, or composite samples."""
+        base, _ = self.find_stencils(self.point.take(rows, axis=1), self.brick_number.take(rows))
+        distance = self.acceleration.voxel_skip.take(base)
+        if self.skip:
+            advance = np.maximum(distance, 1).astype(np.float32)
+            advance -= 1
+            advance *= self.fastest_voxel_t.take(rows)
+            self.advance[rows] = np.trunc(advance) + 1
+        occupied = rows[distance == 0]
+        limit = MAX_INTERPOLATED // SAMPLES_PER_PASS
+        for start in range(0, len(occupied), limit):
+            self.composite(occupied[start : start + limit])
+
+    def find_stencils(self, point: NDArray[Any], brick_number: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The trilinear stencils (cubes of 8 voxels) that contain points [3, n] in bricks [n].
+
+        Returns the index [n] of each stencil's lowest corner in Acceleration.voxels, and the point's fraction in it [3, n] in [0, 1);
+        the fraction overwrites `point`.
+        """
+        point += np.float32(0.5)
+        corner = np.trunc(point)
+        point -= corner
+        corner[0] *= np.float32(STRIDES[0])
+        corner[1] *= np.float32(STRIDES[1])
+        corner[0] += corner[1]
+        corner[0] += corner[2]
+        base = self.acceleration.brick_base.take(brick_number, mode="clip")
+        base += corner[0].astype(np.int64)
+        return base, point
+
+    def composite(self, rows: NDArray[Any]) -> None:
+        """Composite the next SAMPLES_PER_PASS samples of rays [n] front to back (eqs. 5, 6)."""
         count = len(rows)
-        self.samples += AHEAD * count
-        moving = self.moving.take(rows, axis=1)
-        t = (moving[6] + np.arange(AHEAD, dtype=np.float32)[:, None]).reshape(-1)
-        point = (moving[3:6, None] * t.reshape(AHEAD, count) + moving[:3, None]).reshape(3, -1)
-        number = self.numbers(point)
-        used = self.tables.brick_distance.take(number, mode="clip") == 0
-        used &= t < np.tile(moving[7], AHEAD)
-        first, fraction = self.tents(point, number)
-        values = self.interpolate(first, fraction)
-        if self.residual is not None:
-            self.shade(values, np.tile(self.index.take(rows), AHEAD))
-        light = self.light.take(rows)
-        weight = (used * np.float32(1 / self.tables.unit)).reshape(AHEAD, count)
-        alpha = values[:, -1].reshape(AHEAD, count) * weight
-        for step in range(AHEAD):
-            weight[step] *= light
+        self.samples += SAMPLES_PER_PASS * count
+        state = self.rays.state.take(rows, axis=1)
+        t = (state[T] + np.arange(SAMPLES_PER_PASS, dtype=np.float32)[:, None]).reshape(-1)
+        point = (state[DIRECTION, None] * t.reshape(SAMPLES_PER_PASS, count) + state[ENTRY, None]).reshape(3, -1)
+        brick_number = self.brick_number_at(point)
+        used = self.acceleration.brick_distance.take(brick_number, mode="clip") == 0
+        used &= t < np.tile(state[T_END], SAMPLES_PER_PASS)
+        base, fraction = self.find_stencils(point, brick_number)
+        values = self.interpolate(base, fraction)
+        if self.view_residual is not None:
+            self.add_view_dependence(values, np.tile(self.index.take(rows), SAMPLES_PER_PASS))
+        transmittance = self.transmittance.take(rows)
+        weight = (used * np.float32(1 / self.acceleration.unit)).reshape(SAMPLES_PER_PASS, count)
+        alpha = values[:, -1].reshape(SAMPLES_PER_PASS, count) * weight
+        for sample in range(SAMPLES_PER_PASS):
+            weight[sample] *= transmittance
             if self.visited is not None:
-                self.visit(first, fraction, used, step, light)
-            light -= light * alpha[step]
-        self.light[rows] = np.maximum(light, 0)
+                self.mark_visited(base, fraction, used, sample, transmittance)
+            transmittance -= transmittance * alpha[sample]
+        self.transmittance[rows] = np.maximum(transmittance, 0)
         values[:, -1] *= t
-        gathered = self.values.take(rows, axis=0)
-        gathered += np.einsum("kn,knc->nc", weight, values.reshape(AHEAD, count, -1))
-        whole = np.dtype((np.void, gathered.itemsize * gathered.shape[1]))  # rows are set quickest where one is one value
-        self.values.view(whole)[rows] = gathered.view(whole)
-        self.ahead[rows] = AHEAD
+        self.add_values(rows, np.einsum("kn,knc->nc", weight, values.reshape(SAMPLES_PER_PASS, count, -1)))
+        self.advance[rows] = SAMPLES_PER_PASS
 
-    def visit(self, first: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any], step: int, light: NDArray[Any]) -> None:
-        """Mark the voxels nearest to the samples [n] of one step that light still reached, where something is near."""
+    def add_values(self, rows: NDArray[Any], values: NDArray[Any]) -> None:
+        """Add values [n, C] to those of rays [n]; each row is written as one item of void type, which NumPy scatters fastest."""
+        total = self.values.take(rows, axis=0)
+        total += values
+        row_type = np.dtype((np.void, total.itemsize * total.shape[1]))
+        self.values.view(row_type)[rows] = total.view(row_type)
+
+    def mark_visited(
+        self, base: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any], sample: int, transmittance: NDArray[Any]
+    ) -> None:
+        """Set `visited` for one sample of each of n rays, where its stencil is occupied and the ray has not ended before it.
+
+        base, fraction, used: of all samples, [SAMPLES_PER_PASS * n] (fraction [3, ...]); transmittance: [n], in front of the sample.
+        """
         assert self.visited is not None
-        part = slice(step * len(light), (step + 1) * len(light))
-        some = part.start + np.flatnonzero(used[part] & (light > self.stop))
-        some = some[self.tables.voxel_skip[first[some]] == 0]
-        self.visited[first[some] + np.array(STRIDES) @ (fraction[:, some] >= 0.5)] = True
+        part = slice(sample * len(transmittance), (sample + 1) * len(transmittance))
+        rows = part.start + np.flatnonzero(used[part] & (transmittance > self.stop_transmittance))
+        rows = rows[self.acceleration.voxel_skip[base[rows]] == 0]
+        self.visited[base[rows] + np.array(STRIDES) @ (fraction[:, rows] >= 0.5)] = True
 
-    def shade(self, values: NDArray[Any], index: NDArray[Any]) -> None:
-        """Add view dependence to samples [n, C] of rays [n]."""
-        assert self.residual is not None
-        opaque = np.flatnonzero(values[:, -1] > 0)
-        seen = values[opaque]
-        straight = seen[:, :-1] / seen[:, -1:]
-        values[opaque, :3] += seen[:, -1:] * self.residual(straight[:, :3], straight[:, 3:], index[opaque])
-
-
-class Interpolate:
-    """Trilinear interpolation of voxels; its buffers are its own, so that a thread needs one of its own."""
-
-    def __init__(self, tables: Acceleration) -> None:
-        self.tables, self.whole = tables, tables.voxels.ndim == 1
-        channels = tables.channels
-        self.corners = [tables.voxels[corner:] for corner in CORNERS]
-        self.words = np.empty(8 * SLICE, tables.voxels.dtype)
-        self.values = np.empty(8 * SLICE * channels, np.float32)
-        self.spare = np.empty(4 * SLICE * channels, np.float32)
-        self.fractions = np.empty(SLICE * channels // 2, np.uint64)
-
-    def __call__(self, first: NDArray[Any], fraction: NDArray[Any]) -> NDArray[Any]:
-        """[n, C] float32, in units of the table; a view that the next call overwrites. At most SLICE samples."""
-        count, channels = len(first), self.tables.channels
-        values = self.values[: 8 * count * channels].reshape(8, -1)
-        if self.whole:
-            words = self.words[: 8 * count].reshape(8, -1)
-            for corner, word in zip(self.corners, words, strict=True):
-                corner.take(first, out=word, mode="clip")
-            np.copyto(values, words.view(np.uint8))
-        else:
-            for corner, value in zip(self.corners, values.reshape(8, count, channels), strict=True):
-                corner.take(first, axis=0, out=value, mode="clip")
-        for axis, half in enumerate((4, 2, 1)):
-            self.blend(values[:half], values[half : 2 * half], self.spread(fraction[axis]))
-        return values[0].reshape(count, channels)
-
-    def blend(self, low: NDArray[Any], high: NDArray[Any], part: NDArray[Any]) -> None:
-        """low becomes low + part * (high - low)."""
-        between = self.spare[: low.size].reshape(low.shape)
-        np.subtract(high, low, out=between)
-        between *= part
-        low += between
-
-    def spread(self, value: NDArray[Any]) -> NDArray[Any]:
-        """[n] float32 to [n * C], each C times, which is quickest two at a time."""
-        both = value.view(np.uint32).astype(np.uint64)
-        both |= both << np.uint64(32)
-        pairs = self.fractions[: len(value) * self.tables.channels // 2].reshape(len(value), -1)
-        for i in range(pairs.shape[1]):
-            pairs[:, i] = both
-        return pairs.view(np.float32).reshape(-1)
+    def add_view_dependence(self, values: NDArray[Any], index: NDArray[Any]) -> None:
+        """Add alpha times the view-dependent residual to the colour of samples [n, C] of rays [n], in place."""
+        assert self.view_residual is not None
+        rows = np.flatnonzero(values[:, -1] > 0)
+        premultiplied = values[rows]
+        straight = premultiplied[:, :-1] / premultiplied[:, -1:]
+        values[rows, :3] += premultiplied[:, -1:] * self.view_residual(straight[:, :3], straight[:, 3:], index[rows])

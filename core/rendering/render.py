@@ -1,8 +1,8 @@
-"""The marcher: a baked scene and a camera to colour, alpha and depth, with NumPy alone (section 5.2).
+"""Renders a baked scene from a camera to colour, alpha and depth, with NumPy alone (section 5.2).
 
-One lattice of samples a ray, t_start + 0.5 + k voxels: skipping only ever moves to a later integer k, so the
-picture is the one that a dense march gives (hard case 33). What is skipped is known to be zero: bundles of rays pass
-through empty bricks together (approach.py), rays one by one through bricks and voxels that hold nothing (walk.py).
+The samples of a ray lie at t_start + 0.5 + k voxels, k = 0, 1, 2, ... Empty-space skipping only moves to a later integer k, so that the
+picture equals that of a march which visits every sample (hard case 33). Packets of 64 rays skip empty bricks together
+(packet_traversal.py); then each ray skips empty bricks and voxels of its own (ray_marcher.py).
 """
 
 from __future__ import annotations
@@ -22,89 +22,77 @@ from ..nerf.frame import Composited, Frame, residual, shade
 from ..progress import Progress, silent, within
 from ..scene.scene import Scene
 from .acceleration import acceleration_of
-from .early_termination import stop_for
-from .packet_traversal import BUNDLE, approach, enter
-from .ray_marcher import Gathered, RayMarcher
-from .ray_queue import RayQueue, Rays
+from .early_termination import stop_transmittance_for
+from .opacity import correct_opacity
+from .packet_traversal import PACKET_RAYS, intersect_grid, start_batch
+from .ray_marcher import MarchOutput, RayMarcher
+from .ray_queue import RayBatch, RayQueue
 
-BUNDLED = 2**17  # rays whose way through empty space is found together: few steps of many bundles
-# Rays that are made, or shaded, together, and those whose colours the network is asked for in one product. BLAS would take threads of its
-# own for more, and keep them waiting in a loop for the next product while the marcher's own want the processor.
-SHARE = 16384
-TILE = 8  # pixels along the side of a tile, whose rays are one bundle
-TICK_SECONDS = 0.03  # between two calls of `progress`
-INVISIBLE = 0.5 / 255  # a tolerance: half a level of a picture of 8 bits
-FIRST = 4  # how many times smaller, each way, the first picture is
+MAX_CHUNK_RAYS = 2**17  # rays that a thread sets up at once: packet traversal takes few NumPy calls on many packets
+# Rays that are clipped against the grid, or shaded, at once. It keeps matrix products below the size from which BLAS starts threads of
+# its own, which would spin while the marching threads need the processor.
+RAYS_PER_PASS = 16384
+TILE = 8  # pixels along the side of a tile; its 64 rays are one packet
+PROGRESS_SECONDS = 0.03  # between two calls of `progress`
+PREVIEW_TOLERANCE = 0.5 / 255  # half a level of an 8-bit picture: the error cannot be seen
+FIRST_REDUCTION = 4  # factor by which the first picture of a progressive render is smaller along each side
 
 
 @dataclass(frozen=True)
 class MarchSettings:
-    """tolerance: the largest error allowed in a displayed value, 0 to 1; what follows from it is derived in tolerance.py.
-    stop_transmittance: if given, a ray ends when less than this passes, whatever the tolerance.
-    per_sample_network: view dependence at every sample instead of once a pixel, to compare with (table 1 of the paper).
+    """How a scene is marched. The defaults give an exact picture (to 1e-4) in the least time."""
 
-    batch: rays marched together (what fits the caches), new ones taken in as others end. threads: such batches at a time.
-    skip: jump over what is empty; the picture is the same without, only later.
-    """
-
-    tolerance: float = 1e-4
-    stop_transmittance: float | None = None
-    per_sample_network: bool = False
-    batch: int = 24576
-    threads: int = 2
-    skip: bool = True
+    tolerance: float = 1e-4  # largest error of a displayed value, 0 to 1 (see early_termination.py)
+    stop_transmittance: float | None = None  # if given, rays stop below this transmittance, whatever the tolerance
+    per_sample_network: bool = False  # view dependence at every sample instead of once a pixel (ablation of table 1)
+    batch: int = 24576  # rays marched together in a thread: what fits the processor's caches
+    threads: int = 2  # marching threads
+    skip: bool = True  # skip empty space; the picture is the same without, but takes longer
 
 
-def render_scene(
-    snerg: Scene,
-    camera: Camera,
-    settings: MarchSettings = MarchSettings(),
-    progress: Progress = silent,
-) -> Frame:
-    """Render a baked scene from a camera. `progress` may raise Cancelled; that stops the march within a few tenths of a second."""
-    pixels, near = tiled(camera.width, camera.height), max(snerg.near, camera.near)
-    found = _march(snerg, lambda some: camera.rays(pixels[some]), len(pixels), settings, progress, near)
-    colour, alpha = found.colour, 1 - found.transmittance
-    depth = np.where(alpha > 0, found.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
+def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent) -> Frame:
+    """Render a baked scene from a camera. `progress` may raise Cancelled, which stops the march within tenths of a second."""
+    pixels, near = tiled_pixels(camera.width, camera.height), max(scene.near, camera.near)
+    rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, near)
+    colour, alpha = rays.colour, 1 - rays.transmittance
+    depth = np.where(alpha > 0, rays.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
 
-    def finish(some: slice) -> None:
-        seen = some.start + np.flatnonzero(alpha[some] > 0)
-        origins, directions = camera.rays(pixels[seen])
-        depth[seen] = world_distance(snerg.ndc, origins, directions, depth[seen], near)
+    def finish(part: slice) -> None:
+        """Depth in the world and view dependence of the pixels that are not empty, in place."""
+        rows = part.start + np.flatnonzero(alpha[part] > 0)
+        origins, directions = camera.rays(pixels[rows])
+        depth[rows] = world_distance(scene.ndc, origins, directions, depth[rows], near)
         if not settings.per_sample_network:
-            colour[seen] = shade(snerg.network, found.part(seen), directions @ snerg.view_rotation.T)
+            colour[rows] = shade(scene.network, rays.part(rows), directions @ scene.view_rotation.T)
 
-    if snerg.network is not None or snerg.ndc is not None:
+    if scene.network is not None or scene.ndc is not None:
         with ThreadPoolExecutor(settings.threads) as pool:
-            list(pool.map(finish, _shares(0, len(pixels), SHARE)))
-    picture = [np.empty((camera.height, camera.width, *values.shape[1:]), np.float32) for values in (colour, alpha, depth)]
-    for whole, values in zip(picture, (colour, alpha, depth), strict=True):
-        whole[pixels[:, 1], pixels[:, 0]] = values
-    return Frame(*picture)
+            list(pool.map(finish, _chunks(0, len(pixels), RAYS_PER_PASS)))
+    images = [np.empty((camera.height, camera.width, *values.shape[1:]), np.float32) for values in (colour, alpha, depth)]
+    for image, values in zip(images, (colour, alpha, depth), strict=True):
+        image[pixels[:, 1], pixels[:, 0]] = values
+    return Frame(*images)
 
 
-def progressive(
-    snerg: Scene,
-    camera: Camera,
-    settings: MarchSettings = MarchSettings(),
-    progress: Progress = silent,
+def render_progressively(
+    scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent
 ) -> Iterator[Frame]:
-    """First a picture of a quarter of the width and height, then the whole one. `progress` as in `march`, over both."""
-    small = camera.resized(-(-camera.width // FIRST), -(-camera.height // FIRST))
-    share = 1 / (1 + FIRST**2)
-    yield render_scene(snerg, small, settings, within(progress, 0, share))
-    yield render_scene(snerg, camera, settings, within(progress, share, 1))
+    """A frame of a quarter of the width and height, then the whole frame. `progress` as in `render_scene`, over both."""
+    small = camera.resized(-(-camera.width // FIRST_REDUCTION), -(-camera.height // FIRST_REDUCTION))
+    share = 1 / (1 + FIRST_REDUCTION**2)
+    yield render_scene(scene, small, settings, within(progress, 0, share))
+    yield render_scene(scene, camera, settings, within(progress, share, 1))
 
 
-def tiled(width: int, height: int) -> NDArray[Any]:
-    """[N, 2] (column, row) of all pixels, tile by tile; tiles that reach past the picture's edge repeat the pixels there."""
-    across, down = (np.minimum(np.arange(-(-size // TILE) * TILE), size - 1).reshape(-1, TILE) for size in (width, height))
-    row, column = np.broadcast_arrays(down[:, None, :, None], across[None, :, None, :])
+def tiled_pixels(width: int, height: int) -> NDArray[Any]:
+    """All pixels in the order of their tiles, [N, 2] int (column, row); a tile past the image's edge repeats the pixels at the edge."""
+    columns, rows = (np.minimum(np.arange(-(-size // TILE) * TILE), size - 1).reshape(-1, TILE) for size in (width, height))
+    row, column = np.broadcast_arrays(rows[:, None, :, None], columns[None, :, None, :])
     return np.stack([column.reshape(-1), row.reshape(-1)], axis=-1)
 
 
 def march_rays(
-    snerg: Scene,
+    scene: Scene,
     origins: NDArray[Any],
     directions: NDArray[Any],
     settings: MarchSettings = MarchSettings(),
@@ -112,16 +100,17 @@ def march_rays(
     near: float = 0.0,
     visited: NDArray[Any] | None = None,
 ) -> Composited:
-    """Composite rays given in the world (origins and unit directions [N, 3] float64) through the grid (eqs. 5, 6).
+    """Composite rays of the world through a scene's grid, without view dependence (eqs. 5, 6).
 
-    Quickest where every 64 rays that follow one another are close together. near: world units along the ray. visited: bool
-    [M * 32^3], set where a sample was taken in a voxel (always in a block's own part of its cell).
+    origins, directions: [N, 3] float64, directions of unit length. It is fastest when every 64 consecutive rays are close together.
+    near: world units along the ray. visited: bool [M * 32^3] or None; set to True at the voxels that samples fell into (see RayMarcher);
+    these are always a block's own voxels, not its apron.
     """
-    return _march(snerg, lambda some: (origins[some], directions[some]), len(origins), settings, progress, near, visited)
+    return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, near, visited)
 
 
 def _march(
-    snerg: Scene,
+    scene: Scene,
     rays: Callable[[slice], tuple[NDArray[Any], NDArray[Any]]],
     count: int,
     settings: MarchSettings,
@@ -129,71 +118,85 @@ def _march(
     near: float,
     visited: NDArray[Any] | None = None,
 ) -> Composited:
-    """`march_rays` of rays that are made when their turn comes."""
-    tables = acceleration_of(snerg)
-    into = Gathered(np.zeros((count, tables.channels), np.float32), np.ones(count, np.float32))
-    begins = np.zeros(count, np.float32)
-    sampled = snerg.network is not None and settings.per_sample_network
-    views = np.empty((count if sampled else 0, 3), np.float32)
-
-    def entered(some: slice) -> tuple[NDArray[Any], ...]:
-        origins, directions = rays(some)
-        if sampled:
-            views[some] = directions @ snerg.view_rotation.T
-        return enter(snerg, origins, directions, near)
-
-    def make(some: slice) -> Rays:
-        parts = [entered(part) for part in _shares(some.start, some.stop, SHARE)]
-        entry, direction, start, stop = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
-        begins[some] = start
-        return approach(tables, entry, direction, start, stop, settings.skip, some.start)
-
-    def shaded(colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
-        assert snerg.network is not None
-        return residual(snerg.network, colour, features, views[index])
-
-    light = settings.stop_transmittance
-    if light is None:
-        light = stop_for(settings.tolerance, snerg, settings.per_sample_network)
-
-    bundled = min(BUNDLED, max(-(-count // (settings.threads * BUNDLE)), 1) * BUNDLE)
-    supply = RayQueue(make, _shares(0, count, bundled), settings.threads)
+    """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3]."""
+    march = _March(scene, rays, count, settings, near)
+    chunk = min(MAX_CHUNK_RAYS, max(-(-count // (settings.threads * PACKET_RAYS)), 1) * PACKET_RAYS)
+    queue = RayQueue(march.make_batch, _chunks(0, count, chunk), settings.threads)
+    stop = settings.stop_transmittance
+    if stop is None:
+        stop = stop_transmittance_for(settings.tolerance, scene, settings.per_sample_network)
+    view_residual = march.view_residual if march.per_sample else None
 
     def work(cancelled: Callable[[], bool]) -> None:
-        RayMarcher(tables, supply, into, settings.batch, light, settings.skip, visited, shaded if sampled else None, cancelled).run()
+        RayMarcher(march.acceleration, queue, march.output, settings.batch, stop, settings.skip, visited, view_residual, cancelled).run()
 
-    _together(work, settings.threads, lambda: progress(supply.finished / max(count, 1), "Marching"))
-    depth = into.values[:, -1] + (1 - into.through) * begins
-    depth *= np.float32(snerg.voxel_size)
-    found = Composited(into.values[:, :3], into.values[:, 3:-1], into.through, depth, supply.samples)
-    return filled(found) if snerg.opacity_correction else found
+    _run_threads(work, settings.threads, lambda: progress(queue.finished / max(count, 1), "Marching"))
+    return march.result(queue.samples)
 
 
-def _shares(first: int, last: int, most: int) -> list[slice]:
-    return [slice(start, min(start + most, last)) for start in range(first, last, most)]
+class _March:
+    """The arrays of one march: what rays start with, and what comes out."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        rays: Callable[[slice], tuple[NDArray[Any], NDArray[Any]]],
+        count: int,
+        settings: MarchSettings,
+        near: float,
+    ) -> None:
+        self.scene, self.rays, self.near, self.skip = scene, rays, near, settings.skip
+        self.acceleration = acceleration_of(scene)
+        self.output = MarchOutput(np.zeros((count, self.acceleration.channels), np.float32), np.ones(count, np.float32))
+        self.start = np.zeros(count, np.float32)  # voxels from a ray's origin to where it enters the grid
+        self.per_sample = scene.network is not None and settings.per_sample_network
+        self.view_directions = np.empty((count if self.per_sample else 0, 3), np.float32)
+
+    def make_batch(self, chunk: slice) -> RayBatch:
+        """The rays of a chunk that may hit something (see RayQueue)."""
+        parts = [self._clip(part) for part in _chunks(chunk.start, chunk.stop, RAYS_PER_PASS)]
+        entry, direction, start, stop = (np.concatenate(values, axis=-1) for values in zip(*parts, strict=True))
+        self.start[chunk] = start
+        return start_batch(self.acceleration, entry, direction, start, stop, self.skip, chunk.start)
+
+    def _clip(self, part: slice) -> tuple[NDArray[Any], ...]:
+        origins, directions = self.rays(part)
+        if self.per_sample:
+            self.view_directions[part] = directions @ self.scene.view_rotation.T
+        return intersect_grid(self.scene, origins, directions, self.near)
+
+    def view_residual(self, colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
+        """View dependence of samples (see ray_marcher.ViewResidual)."""
+        assert self.scene.network is not None
+        return residual(self.scene.network, colour, features, self.view_directions[index])
+
+    def result(self, samples: int) -> Composited:
+        """The composited rays, with opacity correction where the scene asks for it. Depth is made world units from the ray's origin."""
+        values, transmittance = self.output.values, self.output.transmittance
+        depth = values[:, -1] + (1 - transmittance) * self.start
+        depth *= np.float32(self.scene.voxel_size)
+        rays = Composited(values[:, :3], values[:, 3:-1], transmittance, depth, samples)
+        return correct_opacity(rays) if self.scene.opacity_correction else rays
 
 
-def _together(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:
-    """Do `work` in several threads; `tell` is called now and then, at least once, in this one. Whatever one of them raises ends all."""
+def _chunks(first: int, last: int, size: int) -> list[slice]:
+    """The range from `first` to `last` (excluded) cut into slices of at most `size`."""
+    return [slice(start, min(start + size, last)) for start in range(first, last, size)]
+
+
+def _run_threads(work: Callable[[Callable[[], bool]], None], threads: int, tell: Callable[[], None]) -> None:
+    """Run `work` in several threads and wait for all. `tell` is called repeatedly in this thread, at least once.
+
+    `work` is given a function that says whether to stop. An exception in any thread, or of `tell`, stops all threads and is raised here.
+    """
     stopped = threading.Event()
     with ThreadPoolExecutor(threads) as pool:
         running = {pool.submit(work, stopped.is_set) for _ in range(threads)}
         try:
             while running:
-                done, running = wait(running, TICK_SECONDS)
+                done, running = wait(running, PROGRESS_SECONDS)
                 for one in done:
                     one.result()
                 tell()
         finally:
             stopped.set()
-
-
-def filled(rays: Composited) -> Composited:
-    """Rays up to 1.5 times as opaque, all of what they gather with them (eq. 9): baking lets a little light through surfaces.
-
-    The factor is written so that it is finite at alpha 0 and continuous at 2/3, above which a ray is opaque (hard case 53).
-    """
-    alpha = 1 - rays.transmittance
-    factor = np.where(alpha < 2 / 3, 1.5, 1 / np.maximum(alpha, 2 / 3)).astype(np.float32)
-    through = np.maximum(1 - factor * alpha, 0)
-    return Composited(rays.colour * factor[:, None], rays.features * factor[:, None], through, rays.depth * factor, rays.samples)

@@ -1,1 +1,1 @@
-"""The baked scene (SNeRG): block-sparse voxels and a small network."""
+"""The baked scene (SNeRG): a block-sparse voxel grid and a small view-dependence network."""

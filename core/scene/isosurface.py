@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SnergError
-from .blocks import CELL_VOXELS, DATA_VOXELS, places_of
+from .blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates
 from .scene import Scene
 
 CORNERS = np.array(list(product((0, 1), repeat=3)))  # of a cube between eight voxel centres
@@ -31,7 +31,7 @@ def isosurface(scene: Scene, threshold: float = 0.5) -> tuple[NDArray[Any], NDAr
     mixed = [m for m in range(len(alphas)) if alphas[m].max() >= threshold * scene.unit > alphas[m].min()]
     if not mixed:
         raise SnergError(f"Nothing in the scene is as opaque as {threshold:g}; its surface has no mesh.")
-    places = places_of(scene.indirection)
+    places = block_coordinates(scene.indirection)
     parts = [block_surface(alphas[m] / np.float32(scene.unit), places[m] * DATA_VOXELS - 1, threshold) for m in mixed]
     cubes, points, quads = (np.concatenate(part) for part in zip(*parts, strict=True))
     dims = tuple(n + 2 * CELL_VOXELS for n in scene.shape)

@@ -18,22 +18,22 @@ from .blocks import CELL_VOXELS, DATA_VOXELS
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A Sparse Neural Radiance Grid.
+    """A Sparse Neural Radiance Grid (SNeRG). Raises SnergError when its parts do not fit together.
 
-    ndc: the grid's world is the world where None; else it is the world in these device coordinates, whose units lengths
-        of the grid then have. Cameras, near and depth stay in the world.
-    grid_to_world: [4, 4] float64 rigid; grid coordinates are world units along the box's axes, from the
-        outer corner of voxel (0, 0, 0). Voxel i has its centre at (i + 0.5) * voxel_size.
-    voxel_size: world units. shape: voxels (x, y, z).
-    indirection: int32 [bx, by, bz], b = ceil(shape / 30): a cell's number, or -1 where the block is empty.
-    cells: uint8, or float32 in [0, 1] where it is not quantised, [M, 32, 32, 32, C], x, y, z with z fastest: 30 voxels of the
-        block's own and an apron of one voxel of its neighbours on each side. C = 8: RGB, 4 features, alpha, all premultiplied by alpha;
-        C = 4 in a diffuse scene: RGB, alpha. Alpha is the opacity of a step of one voxel.
+    grid_to_world: [4, 4] float64, rigid. Grid coordinates have the world's units and start at the outer corner of voxel (0, 0, 0); the
+        centre of voxel i is at (i + 0.5) * voxel_size.
+    voxel_size: side of a voxel, world units. shape: voxels (x, y, z).
+    indirection: int32 [bx, by, bz] with b = ceil(shape / 30): number of each block's atlas cell, or -1 for an empty block.
+    cells: [M, 32, 32, 32, C], z fastest: a block's own 30 voxels along each axis and an apron of one voxel of its neighbours on each
+        side. uint8, or float32 in [0, 1] in an unquantised scene. C = 8: RGB, 4 features, alpha; C = 4 in a diffuse scene: RGB, alpha.
+        RGB and features are premultiplied by alpha, the opacity along one voxel's length.
     network: the view-dependence network, or None in a diffuse scene.
-    view_rotation: [3, 3] from world directions to the axes in which the network was trained.
-    opacity_correction: whether what a ray gathers is made up to 1.5 times as opaque (eq. 9), as the paper does in forward-facing scenes.
-    near: distance along a ray, world units, before which nothing is seen.
-    about: where the scene came from and what its bake measured; JSON values.
+    view_rotation: [3, 3] rotation from world directions to the axes in which the network was trained.
+    near: world units along a ray, before which the scene is invisible.
+    about: provenance and measurements of the bake; JSON values.
+    ndc: None, or the normalised device coordinates in which the grid lies (forward-facing scenes). "World" above then means that space,
+        and the grid's lengths have its units; cameras, near and depth stay in the real world.
+    opacity_correction: whether composited rays are corrected by eq. 9, as the paper does in forward-facing scenes.
     """
 
     grid_to_world: NDArray[Any]
@@ -66,7 +66,7 @@ class Scene:
 
     @property
     def box(self) -> Box:
-        """The volume of the whole lattice as a box in the grid's world (see `ndc`)."""
+        """The volume of all voxels as a box in the grid's world (see `ndc`)."""
         size = np.array(self.shape) * self.voxel_size
         pose = self.grid_to_world.copy()
         pose[:3, 3] += pose[:3, :3] @ (size / 2)
@@ -74,21 +74,21 @@ class Scene:
 
     @property
     def quantised(self) -> bool:
-        """Whether cells hold 8 bits a value, and not floats as they are only to compare with (table 1)."""
+        """Whether cells are uint8; float32 cells exist only to measure what quantisation costs (table 1)."""
         return self.cells.dtype == np.uint8
 
     @property
     def unit(self) -> float:
-        """What cells hold where a value is 1."""
+        """The stored number that means 1.0: 255 in quantised cells, else 1."""
         return 255.0 if self.quantised else 1.0
 
     @property
     def effects(self) -> dict[str, bool]:
-        """Which optional effects the scene carries."""
+        """Which optional effects the scene uses, by the names that scene.json has for them."""
         return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.opacity_correction}
 
 
 def blocks_of(shape: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Macroblocks along each axis: ceil(voxels / 30) (hard case 46)."""
+    """Macroblocks along each axis: ceil(voxels / 30), so that a partly filled last block is kept (hard case 46)."""
     x, y, z = (-(-n // DATA_VOXELS) for n in shape)
     return x, y, z

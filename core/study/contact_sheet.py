@@ -1,4 +1,4 @@
-"""Pictures for people to compare. NumPy and Pillow."""
+"""Contact sheets: images beside one another, to compare by eye."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..io.images import to_uint8
 
-GAP, LABEL = 6, 22  # pixels
-PAPER, INK = (38, 38, 42), (235, 235, 235)
-GAIN = 10
+GAP, LABEL = 6, 22  # pixels between images, and of a line of text
+PAPER, INK = (38, 38, 42), (235, 235, 235)  # background and text, 8-bit sRGB
+GAIN = 10  # of an error picture, so that errors of 1/255 can be seen
 
 
 def error_picture(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-    """Ten times the difference of two pictures, cut off at 1."""
-    return np.clip(GAIN * np.abs(a - b), 0, 1)
+    """GAIN times the absolute difference of two images [H, W, 3] in [0, 1], clipped to 1: [H, W, 3]."""
+    return np.asarray(np.clip(GAIN * np.abs(a - b), 0, 1))
 
 
 def contact_sheet(rows: Sequence[tuple[str, Sequence[NDArray[Any]]]], titles: Sequence[str], most: int = 10**6) -> NDArray[Any]:
-    """uint8 [H, W, 3]: a row of pictures [h, w, 3] in [0, 1] for each (name, pictures), titled; none wider than `most` pixels."""
+    """A sheet uint8 [H, W, 3] with a row of images [h, w, 3] in [0, 1] for each (name, images).
+
+    titles: of the columns. most: width in pixels to which wider images are reduced.
+    """
     shown = [(name, [_fitted(picture, most) for picture in pictures]) for name, pictures in rows]
     width = max((picture.width for _, pictures in shown for picture in pictures), default=1)
     tops = np.cumsum([GAP] + [pictures[0].height + LABEL + GAP for _, pictures in shown])

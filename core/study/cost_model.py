@@ -1,7 +1,7 @@
-"""What a bake, its export and a preview, or a training, will take: before they begin.
+"""The cost model: the time, memory and bytes of a bake, its files and a preview, or of a training, before they begin.
 
-`estimate` counts what each stage has to go through, from a survey of the field (survey.py), in a few milliseconds: it can be asked
-while a box is dragged. Every number says in `estimate` or `training` what it supposes.
+`estimate` counts the voxels, blocks and samples that each stage processes, from a field probe (field_probe.py), and multiplies them with
+the times that the probe measured and with coefficients (coefficients.py). It takes milliseconds, so that it follows a box that is dragged.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..baking.bake import AUTO, BakeSettings, check_lengths
-from ..baking.memory import blocks_met
-from ..baking.occupied_voxels import may_hold
-from ..baking.supersampling import FINER, LENGTH, MOST, RAYS
+from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings, check_voxel_size
+from ..baking.memory import count_blocks
+from ..baking.occupied_voxels import candidate_blocks
+from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
 from ..geometry.box import Box
 from ..nerf.field import Field
@@ -25,150 +25,169 @@ from ..nerf.sampling import Domain
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.voxel_grid import VoxelGrid
 from ..training.config import TrainSettings
-from .field_probe import FieldProbe, rays_of
+from .coefficients import DEFAULT_COEFFICIENTS, Coefficients
+from .field_probe import FieldProbe, visibility_rays
 
-USUAL = BakeSettings()
-BARE = 6.0  # samples that take as long as all else that a ray takes
-COLD = 0.1  # power of the resolution with which a sample's own time grows: what it reads is further apart
-BEGUN = 0.08  # seconds of a bake's first stage, however little there is
-# Of memory, measured: bytes that a bake takes whatever its size, and times its cells: themselves, the file where they were kept, and as
-# pictures. The system can take some of it back; memory.py, which refuses what would not fit, counts only what it cannot.
-PROCESS, HELD = 330e6, 3.0
-BESIDE = 1.12  # of the time of filling voxels one after another, with moving them, and what the caches do not hold any more
-CLOSER = 0.85  # of the time of a ray where it is timed: in a large picture rays are closer together
-ALIKE = 0.06  # bytes of a voxel fall with the resolution to this power: its neighbours are more like it
-FEW = 8  # points in a box that weigh as much as all others do
-REFINED, FIT = 1_000_000, 2.0  # pixels that refining marches, twice what RefineSettings says: they lie apart; and seconds of its fit
-STEP = 4.0  # queries that a training step costs a sample: forth, back, and the optimiser
-SET_UP = 8.0  # seconds before the first step beside reading images: carving the hull, compiling
-TRAINING, PIXEL = 750e6, 8  # bytes of any training, and of one of its pixels
+DEFAULT_BAKE = BakeSettings()
+PRIOR_POINTS = 8  # weight of the whole field's share, in points, against that of the points inside a box: matters for small boxes
+DEFERRED_CHANNELS, DIFFUSE_CHANNELS = 8, 4  # bytes of a voxel: RGB, alpha, and 4 features where the field is view-dependent
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """seconds: of each stage of a bake. peak_megabytes: of memory. megabytes: of the scene as PNG. preview: seconds of a picture;
-    tables: seconds before the first one. looked, held, kept: voxels; blocks, samples: as in a bake's own report."""
+    """What a bake, its files and a preview take. The names are keys of what `snerg estimate --json` prints."""
 
-    seconds: dict[str, float]
-    peak_megabytes: float
-    megabytes: float
-    preview: float
-    tables: float
-    looked: int
-    held: int
-    kept: int
-    blocks: int
-    samples: int
+    seconds: dict[str, float]  # of each stage of the bake
+    peak_megabytes: float  # of memory during the bake
+    megabytes: float  # of the scene stored as PNG
+    preview: float  # seconds of a rendered picture
+    tables: float  # seconds of building the acceleration structure, before the first picture
+    looked: int  # voxels at which the bake evaluates the field
+    held: int  # voxels that hold something or border on one that does
+    kept: int  # voxels of those that a camera sees
+    blocks: int  # blocks of the atlas
+    samples: int  # samples a voxel
 
     @property
     def bake(self) -> float:
-        """Seconds of the whole bake, without refining."""
+        """Seconds of the whole bake, without fine-tuning."""
         return sum(value for name, value in self.seconds.items() if name != "refine")
 
     def to_json(self) -> dict[str, Any]:
-        """JSON values, seconds and megabytes to what can be told."""
+        """JSON values, with seconds and megabytes rounded to significant digits."""
         rounded = {name: round(value, 3) for name, value in self.seconds.items()}
         sizes = {"peak_megabytes": round(self.peak_megabytes), "megabytes": round(self.megabytes, 1)}
         times = {"preview": round(self.preview, 4), "tables": round(self.tables, 3)}
         return {"bake_seconds": round(self.bake, 2), **asdict(self), "seconds": rounded, **sizes, **times}
 
 
-def estimate(
-    survey: FieldProbe, box: Box, settings: BakeSettings = USUAL, refine: bool = True, size: tuple[int, int] = (800, 800)
-) -> Estimate:
-    """What a bake with `bake_field` will take, and a preview of `size` pixels, on this machine as busy as it was when surveyed.
+@dataclass(frozen=True)
+class _Counts:
+    """What a bake processes."""
 
-    What is counted, in the box: looked, held and kept voxels, as many as points of the survey say (what a box cuts off is gone, that
-    it opens the view into what it cuts through is left out); blocks, those that meet what the small bake found full.
-    peak_megabytes: HELD times the cells, and PROCESS. megabytes: a kept voxel takes as many bytes as in the small bake,
-    times the resolution's ratio to the power -ALIKE; float cells are whole. preview: as many pixels see something as in the small
-    bake's pictures, and each takes as long, times CLOSER and what more samples take (`slower`). Seconds: see `_seconds`.
-    Raises SnergError for voxels so small that there would be too many, and for their size in device coordinates.
+    grid: VoxelGrid
+    queried: float  # voxels inside occupied cells
+    held: float
+    kept: float
+    blocks: int
+    samples: int
+    channels: int
+    finer: float  # voxel size of the probe's small bake over that of this bake
+
+
+def estimate(
+    probe: FieldProbe,
+    box: Box,
+    settings: BakeSettings = DEFAULT_BAKE,
+    refine: bool = True,
+    size: tuple[int, int] = (800, 800),
+    coefficients: Coefficients = DEFAULT_COEFFICIENTS,
+) -> Estimate:
+    """The cost of a bake with `bake_field` and of a preview of `size` pixels, on this machine under the same load as during the probe.
+
+    Files: a kept voxel takes as many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay; a scene
+    of floats is not compressed. Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which
+    cuts through the field uncovers voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in
+    normalised device coordinates.
     """
-    rates, field = survey.rates, survey.field
-    check_lengths(settings, field)
-    voxel_grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
-    inside = box.contains(survey.points)
-    volume = survey.share / voxel_grid.voxel_size**3
-    held, kept = (volume * _points(survey, table, inside, voxel_grid.voxel_size) for table in (survey.held, survey.kept))
-    if not (settings.visibility and field.cameras):
-        kept = held
-    cubes = survey.filled[0][box.contains(survey.filled[0])]
-    blocks = blocks_met((cubes, survey.filled[1]), voxel_grid) if len(cubes) else 0
-    channels = 8 if settings.network and field.network is not None else 4
-    cells = blocks * CELL_VOXELS**3 * channels * (1 if settings.quantise else 4)
-    finer = survey.pilot / voxel_grid.voxel_size
-    ray = rates.ray * slower(rates.met, rates.growth, finer)
-    coded = kept * rates.bytes * finer**-ALIKE * channels / (8 if field.network is not None else 4)
-    looked = volume * int((survey.inside & inside).sum())
-    samples = settings.samples or survey.samples[int(np.abs(np.log(survey.voxels / voxel_grid.voxel_size)).argmin())]
-    seconds = _seconds(survey, voxel_grid, settings, looked, kept, samples)
-    if refine and channels == 8 and field.dataset:
-        seconds["refine"] = FIT + rates.view * len(field.cameras) + ray * REFINED
+    counts, rates, field = _count(probe, box, settings), probe.rates, probe.field
+    atlas_bytes = counts.blocks * CELL_VOXELS**3 * counts.channels * (1 if settings.quantise else 4)
+    ray = rates.preview_ray * ray_slowdown(rates.preview_samples, rates.preview_growth, counts.finer, coefficients)
+    channels = DIFFUSE_CHANNELS if field.network is None else DEFERRED_CHANNELS  # of the small bake
+    png_bytes = counts.kept * rates.kept_voxel_bytes * counts.finer**-coefficients.voxel_bytes_decay * counts.channels / channels
+    seconds = _stage_seconds(probe, counts, settings, coefficients)
+    if refine and counts.channels == DEFERRED_CHANNELS and field.dataset:
+        marched = rates.preview_view * len(field.cameras) + ray * coefficients.refine_pixels
+        seconds["refine"] = coefficients.refine_seconds + marched
     return Estimate(
-        seconds,
-        (PROCESS + HELD * cells) / 1e6,
-        (coded if settings.quantise else cells) / 1e6,
-        rates.view + CLOSER * size[0] * size[1] * ray,
-        blocks * rates.table,
-        int(looked),
-        int(held),
-        int(kept),
-        blocks,
-        int(samples),
+        seconds=seconds,
+        peak_megabytes=(coefficients.process_bytes + coefficients.cell_copies * atlas_bytes) / 1e6,
+        megabytes=(png_bytes if settings.quantise else atlas_bytes) / 1e6,
+        preview=rates.preview_view + coefficients.preview_factor * size[0] * size[1] * ray,
+        tables=counts.blocks * rates.acceleration_block,
+        looked=int(counts.queried),
+        held=int(counts.held),
+        kept=int(counts.kept),
+        blocks=counts.blocks,
+        samples=counts.samples,
     )
 
 
-def slower(met: float, growth: float, finer: float) -> float:
-    """How much longer a ray takes in voxels so much finer, where it takes `met` samples, which grow with the resolution to a power."""
-    return (BARE + met * finer ** (growth + COLD)) / (BARE + met)
+def _count(probe: FieldProbe, box: Box, settings: BakeSettings) -> _Counts:
+    """Voxels by the share of the probe's points, blocks by the cubes that the small bake found occupied. Raises as `estimate`."""
+    field = probe.field
+    check_voxel_size(settings, field)
+    grid = VoxelGrid.inside(box, settings.voxel_size or float(box.size.max()) / settings.resolution)
+    inside = box.contains(probe.points)
+    voxels_per_point = probe.share / grid.voxel_size**3
+    held, kept = (voxels_per_point * _points_inside(probe, flags, inside, grid.voxel_size) for flags in (probe.held, probe.kept))
+    if not (settings.visibility and field.cameras):
+        kept = held
+    centres, cube_size = probe.filled
+    cubes = centres[box.contains(centres)]
+    return _Counts(
+        grid=grid,
+        queried=voxels_per_point * int((probe.inside & inside).sum()),
+        held=held,
+        kept=kept,
+        blocks=count_blocks((cubes, cube_size), grid) if len(cubes) else 0,
+        samples=int(settings.supersampling or probe.samples[int(np.abs(np.log(probe.voxels / grid.voxel_size)).argmin())]),
+        channels=DEFERRED_CHANNELS if settings.network and field.network is not None else DIFFUSE_CHANNELS,
+        finer=probe.pilot / grid.voxel_size,
+    )
 
 
-def _seconds(
-    survey: FieldProbe, voxel_grid: VoxelGrid, settings: BakeSettings, looked: float, kept: float, samples: int
-) -> dict[str, float]:
-    """Of the stages of a bake.
+def ray_slowdown(samples: float, growth: float, finer: float, coefficients: Coefficients = DEFAULT_COEFFICIENTS) -> float:
+    """Time of a ray in voxels that are `finer` times smaller, over its time in the small bake.
 
-    start: compiling takes as long as it did. occupancy: BEGUN; a voxel of a block that meets an occupied cell is tested, one in an
-    occupied cell is asked for. visibility: see `_looking`. samples: where they are chosen, all rays are tried with each number up to
-    twice the chosen one. prefilter: kept voxels, and samples of them, times BESIDE.
+    samples: of a ray in the small bake. growth: the power of the resolution with which they grow.
     """
-    rates = survey.rates
-    tried = RAYS * LENGTH * (FINER + 8 * (min(4 * samples, 2 * MOST) - 1)) if settings.samples == AUTO else 0
+    overhead = coefficients.ray_overhead
+    return float((overhead + samples * finer ** (growth + coefficients.sample_growth)) / (overhead + samples))
+
+
+def _stage_seconds(probe: FieldProbe, counts: _Counts, settings: BakeSettings, coefficients: Coefficients) -> dict[str, float]:
+    """Seconds of each stage of a bake.
+
+    start: compiling. occupancy: voxels of candidate blocks are tested, those in occupied cells queried. samples: where the number is
+    chosen automatically, the test rays are filled with each number of samples up to twice the chosen one. prefilter: kept voxels, and
+    their samples.
+    """
+    rates, tested = probe.rates, 0
+    if settings.supersampling == AUTO_SUPERSAMPLING:
+        tested = TEST_RAYS * TEST_RAY_VOXELS * (REFERENCE_SAMPLES_PER_VOXEL + 8 * (min(4 * counts.samples, 2 * MAX_SUPERSAMPLING) - 1))
+    candidates = int(candidate_blocks(probe.coarse, counts.grid).sum()) * DATA_VOXELS**3
     return {
-        "start": rates.start,
-        "occupancy": BEGUN + rates.test * int(may_hold(survey.coarse, voxel_grid).sum()) * DATA_VOXELS**3 + rates.query * looked,
-        "visibility": _looking(survey, voxel_grid) if settings.visibility else 0.0,
-        "samples": rates.fill * tried,
-        "prefilter": BESIDE * kept * (rates.keep + samples * rates.fill),
+        "start": rates.compile,
+        "occupancy": coefficients.occupancy_start + rates.block_voxel * candidates + rates.query * counts.queried,
+        "visibility": _visibility_seconds(probe, counts.grid, coefficients) if settings.visibility else 0.0,
+        "samples": rates.sample * tested,
+        "prefilter": coefficients.prefilter_factor * counts.kept * (rates.kept_voxel + counts.samples * rates.sample),
     }
 
 
-def _looking(survey: FieldProbe, voxel_grid: VoxelGrid) -> float:
-    """Of finding out, on half of the resolution, what the cameras see: each of them, and its rays but for their samples, takes as long
-    as in the small bake."""
-    rates, finer = survey.rates, survey.pilot / voxel_grid.halved().voxel_size
-    look = rates.look * slower(rates.seen_met, rates.seen_growth, finer)
-    return rates.eye * len(survey.field.cameras) + look * rays_of(survey.field, voxel_grid)
+def _visibility_seconds(probe: FieldProbe, grid: VoxelGrid, coefficients: Coefficients) -> float:
+    """Seconds of the visibility stage, which marches a grid of half the resolution from each camera."""
+    rates, half = probe.rates, grid.halved()
+    slowdown = ray_slowdown(rates.visibility_samples, rates.visibility_growth, probe.pilot / half.voxel_size, coefficients)
+    return rates.visibility_view * len(probe.field.cameras) + rates.visibility_ray * slowdown * visibility_rays(probe.field, grid)
 
 
-def _points(survey: FieldProbe, table: NDArray[Any], inside: NDArray[Any], voxel: float) -> float:
-    """How many of the points inside a box a table [S, M] says yes to, between its voxel sizes; by all points where few are inside."""
+def _points_inside(probe: FieldProbe, flags: NDArray[Any], inside: NDArray[Any], voxel_size: float) -> float:
+    """How many of the probe's points inside a box (inside [M] bool) have a flag of `flags` [S, M], interpolated in the voxel size."""
     count = int(inside.sum())
-    here, all_ = table[:, inside].sum(axis=1), table.mean(axis=1)
-    share = (here + FEW * all_) / (count + FEW)
-    order = np.argsort(survey.voxels)
-    return count * float(np.interp(np.log(voxel), np.log(survey.voxels[order]), share[order]))
+    share = (flags[:, inside].sum(axis=1) + PRIOR_POINTS * flags.mean(axis=1)) / (count + PRIOR_POINTS)
+    order = np.argsort(probe.voxels)
+    return count * float(np.interp(np.log(voxel_size), np.log(probe.voxels[order]), share[order]))
 
 
-def training(dataset: Dataset, settings: TrainSettings) -> dict[str, Any]:
-    """What a training will take: {"seconds", "set_up_seconds", "steps", "step_seconds", "peak_megabytes"} (JAX).
+def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficients = DEFAULT_COEFFICIENTS) -> dict[str, Any]:
+    """The cost of a training: {"seconds", "set_up_seconds", "steps", "step_seconds", "peak_megabytes"} (JAX).
 
-    A step costs a sample as much as STEP queries of a field of the same kind, which are timed. Set-up: all images are read as
-    quickly as the first, and SET_UP seconds beside. Memory: TRAINING bytes, and PIXEL bytes a pixel.
+    A step's time is measured by queries of an untrained field of the same kind; reading images, by the first image.
     """
     samples = settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
-    step = STEP * samples * query_seconds(settings)
+    step = coefficients.step_queries * samples * query_seconds(settings)
     began = time.perf_counter()
     dataset.read(0)
     reading = (time.perf_counter() - began) * len(dataset.views)
@@ -176,15 +195,15 @@ def training(dataset: Dataset, settings: TrainSettings) -> dict[str, Any]:
     pixels = sum(camera.width * camera.height for camera in dataset.cameras)
     return {
         "seconds": round(seconds, 1),
-        "set_up_seconds": round(SET_UP + reading, 1),
+        "set_up_seconds": round(coefficients.set_up_seconds + reading, 1),
         "steps": settings.steps if settings.steps is not None else int(seconds / step),
         "step_seconds": round(step, 5),
-        "peak_megabytes": round((TRAINING + PIXEL * pixels) / 1e6),
+        "peak_megabytes": round((coefficients.training_bytes + coefficients.pixel_bytes * pixels) / 1e6),
     }
 
 
 def query_seconds(settings: TrainSettings, points: int = 2**17) -> float:
-    """Seconds that a point takes of a field that is about to be trained so."""
+    """Seconds that a point takes in a query of an untrained field of these settings, compiling left out (JAX)."""
     rng = np.random.default_rng(0)
     params = init_field(settings.family, "deferred", rng)["field"]
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))

@@ -1,4 +1,4 @@
-"""How good a field or a baked scene is, measured on photographs that training did not see."""
+"""The quality of a field or a baked scene, measured on held-out views."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..artifact import Result, kind_of, open_field, open_scene
 from ..data.dataset import Dataset, DatasetOptions
-from ..data.load import read_dataset
+from ..data.load import read_dataset, read_split
 from ..errors import SnergError, needs_jax
 from ..geometry.camera import Camera
 from ..io.files import check_replaceable, json_bytes, new_folder
@@ -29,9 +29,9 @@ from ..training.provenance import background_of, options_of, trained
 from .contact_sheet import contact_sheet, error_picture
 from .metrics import mean_psnr, mse, psnr_of, ssim
 
-SHEET_VIEWS = 12  # of a contact sheet: the rest is in files of its own
-SHEET_PIXELS = 480  # width of a picture on it
-USUAL = MarchSettings()
+SHEET_VIEWS = 12  # views on the contact sheet, at most; each view has a file of its own
+SHEET_PIXELS = 480  # width of an image on the contact sheet, at most
+DEFAULT_MARCH = MarchSettings()
 COLUMNS = ("truth", "rendered", "error x 10")
 
 
@@ -44,15 +44,16 @@ def evaluate(
     downscale: int | None = None,
     out: Path | None = None,
     progress: Progress = silent,
-    settings: MarchSettings = USUAL,
+    settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
-    """Quality of a field or a scene on views of a dataset: PSNR of the mean error, mean SSIM, seconds a view.
+    """Measure a field or a scene on views of a dataset: PSNR of the mean squared error, mean SSIM, seconds a view.
 
-    What is not given is as in training: the dataset (of a field), which views were held out, the downscale factor and the
-    background behind the images' alpha. split: 'test' where there is one, else 'val'. out: a folder for every picture and a
-    contact sheet with the truth beside them. Pixels that the dataset's masks hide do not count. PSNR is None when every pixel
-    agrees. settings: of a scene's march. Raises SnergError when `target` is neither, or the dataset is unusable, or there are
-    settings for a field.
+    dataset: that of the field's training when None. split: 'test' where there is one, else 'val', when None. holdout, downscale: as in
+    training when None. out: a folder for each rendered view, views.json and a contact sheet beside the truth. settings: of a scene's
+    march. Images are composited over the background of the training; pixels that a mask of the dataset hides do not count.
+
+    Returns the names of what was measured and `Score.result`. Raises SnergError when `target` is neither a field nor a scene, when the
+    dataset cannot be read, and for settings of the march with a field.
     """
     subject = open_target(target, settings)
     if dataset is None and not subject.dataset:
@@ -70,8 +71,8 @@ def evaluate(
     return {"kind": subject.kind, "target": str(target), "dataset": str(source), **measured, **found, **where}
 
 
-def measure_into(subject: Target, views: Dataset, out: Path | None, progress: Progress) -> Result:
-    """`Score.result` of all views; out: as for `evaluate`."""
+def measure_into(subject: EvaluationTarget, views: Dataset, out: Path | None, progress: Progress) -> Result:
+    """Measure a target on all views of a dataset, and return `Score.result`. out: as for `evaluate`."""
     score = Score()
     if out is None:
         _measure(subject, views, score, None, progress)
@@ -84,33 +85,30 @@ def measure_into(subject: Target, views: Dataset, out: Path | None, progress: Pr
 
 
 def held_out(path: Path, options: DatasetOptions) -> Dataset:
-    """The views that training does not see: the 'test' split, else 'val'. Raises SnergError where there is neither."""
+    """The held-out views of a dataset: the 'test' split, else 'val'. Raises SnergError where there is neither."""
     train = read_dataset(path, "train", options)
     for split in ("test", "val"):
         if split in train.splits():
-            return read_dataset(path, split, options)
+            return read_split(train, split)
     raise SnergError(f"{path} has no views that training did not see; hold some out, or measure on --split train.")
 
 
 @dataclass(frozen=True)
-class Target:
-    """What is measured. kind: 'field' or 'scene'; render: a camera to its picture; background: as in training, RGB in [0, 1].
+class EvaluationTarget:
+    """A field or a scene to measure."""
 
-    dataset: the folder it was trained on, '' where it does not say; options: how that was read.
-    """
-
-    kind: str
+    kind: str  # 'field' or 'scene'
     render: Callable[[Camera, Progress], Frame]
-    background: tuple[float, float, float]
-    dataset: str
-    options: DatasetOptions
+    background: tuple[float, float, float]  # of the training, RGB in [0, 1]
+    dataset: str  # folder that the field was trained on, '' where it is not known
+    options: DatasetOptions  # with which the training read it
 
 
-def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
-    """Read a field, a checkpoint or a scene. Raises SnergError when `path` is none of them, or not what the settings are for."""
+def open_target(path: Path, settings: MarchSettings = DEFAULT_MARCH) -> EvaluationTarget:
+    """Read a field, a checkpoint or a scene. Raises SnergError for other paths, and for settings of the march with a field."""
     kind = kind_of(path)
     if kind in ("field", "checkpoint"):
-        if settings != USUAL:
+        if settings != DEFAULT_MARCH:
             raise SnergError(f"{path} is a {kind}, which is not marched; bake it first to measure with such settings of the march.")
         with needs_jax():
             import jax  # noqa: F401  # evaluating a field compiles it
@@ -118,18 +116,18 @@ def open_target(path: Path, settings: MarchSettings = USUAL) -> Target:
             from ..nerf.render import render_field
         field = open_field(path)
         known = trained(field.about)
-        return Target("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
+        return EvaluationTarget("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
     if kind in ("scene", "reference scene", "page"):
         snerg = ready_scene(path, settings)
-        return Target(
+        return EvaluationTarget(
             "scene", lambda camera, progress: render_scene(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
         )
     raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
 
 
 def ready_scene(path: Path, settings: MarchSettings) -> Scene:
-    """Read a scene and make its look-up tables, once a scene and not a view. Raises SnergError when `path` is none, or a diffuse
-    one that the settings ask for a network at every sample."""
+    """Read a scene and build its acceleration structure, once for all views. Raises SnergError where `path` is not a scene, and for
+    per-sample settings of a diffuse one."""
     snerg = open_scene(path)
     if settings.per_sample_network and snerg.network is None:
         raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
@@ -141,8 +139,8 @@ def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, flo
     return background_of(known), dataset, options_of(known)
 
 
-def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:
-    """Render and score every view; with a folder, keep each picture there. Returns the contact sheet."""
+def _measure(subject: EvaluationTarget, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:
+    """Render and score every view, and write each to the folder, if given. Returns the contact sheet uint8 [H, W, 3]."""
     count, rows = len(views.views), []
     shown = set(np.linspace(0, count - 1, min(count, SHEET_VIEWS)).round().astype(int).tolist())
     for index, camera in enumerate(views.cameras):
@@ -160,7 +158,7 @@ def _measure(subject: Target, views: Dataset, score: Score, folder: Path | None,
 
 
 class Score:
-    """Errors of the views seen so far."""
+    """The errors of the views that were added."""
 
     def __init__(self) -> None:
         self.errors: list[float] = []
@@ -171,7 +169,7 @@ class Score:
     def add(
         self, picture: NDArray[Any], truth: NDArray[Any], seconds: float = 0.0, mask: NDArray[Any] | None = None, name: str = ""
     ) -> None:
-        """A view [H, W, 3] and what it should be; mask: [H, W] bool, the pixels that count."""
+        """Add a rendered view [H, W, 3] and its true image [H, W, 3], in [0, 1]. mask: [H, W] bool, the pixels that count."""
         self.errors.append(mse(picture, truth, mask))
         self.likeness.append(ssim(picture, truth, mask))
         self.seconds.append(seconds)
@@ -193,11 +191,11 @@ class Score:
         return [{"name": n, "psnr": round(psnr_of(e), 3) if e else None, "ssim": round(s, 5)} for n, e, s in rows]
 
     def text(self) -> str:
-        """For a progress line."""
+        """PSNR of all views in words, for a line of progress."""
         return _decibels(mean_psnr(self.errors))
 
     def last(self) -> str:
-        """Of the view added last."""
+        """PSNR and SSIM of the view that was added last, in words."""
         return f"{_decibels(mean_psnr(self.errors[-1:]))}, SSIM {self.likeness[-1]:.3f}"
 
 

@@ -1,4 +1,4 @@
-"""Surveys as files, so that one look at a field serves every estimate of it; read and asked without JAX."""
+"""Field probes as files, so that one probe of a field serves all estimates of it. Read without JAX."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,69 +24,93 @@ from .field_probe import FieldProbe, Rates, coarse
 
 VERSION = 1
 ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples")
-MAX_BYTES = 2**28
+FLAGS = ("inside", "held", "kept")  # the arrays of booleans
+RATE_KEYS = {  # names of the rates in files, which have been the same since the first version
+    "compile": "start",
+    "block_voxel": "test",
+    "query": "query",
+    "visibility_view": "eye",
+    "visibility_ray": "look",
+    "sample": "fill",
+    "kept_voxel": "keep",
+    "preview_view": "view",
+    "preview_ray": "ray",
+    "acceleration_block": "table",
+    "kept_voxel_bytes": "bytes",
+    "preview_samples": "met",
+    "preview_growth": "growth",
+    "visibility_samples": "seen_met",
+    "visibility_growth": "seen_growth",
+}
+MAX_BYTES = 2**28  # of a file that is read; a probe takes about 1 MB
 
 
 def stamp(source: Path) -> str:
-    """Of a field's or a checkpoint's file, and of this machine: another when the file was written again. Raises OSError."""
+    """What identifies the file of a field or checkpoint and this machine; it changes when the file is written. Raises OSError."""
     file = source / FILE if (source / FILE).is_file() else find_checkpoint(source) or source
-    known = file.stat()
-    return f"{known.st_mtime_ns} {known.st_size} {platform.node()} {os.cpu_count()}"
+    status = file.stat()
+    return f"{status.st_mtime_ns} {status.st_size} {platform.node()} {os.cpu_count()}"
 
 
-def write_survey(path: Path, survey: FieldProbe, mark: str) -> None:
-    """Keep what was found of the field with this stamp, whole or not at all. Raises SnergError where it cannot be written."""
-    about = {"survey": VERSION, "field": mark, "rates": asdict(survey.rates), "share": survey.share}
-    about |= {"pilot": survey.pilot, "seconds": survey.seconds, "size": survey.filled[1]}
-    arrays = {name: np.asarray(getattr(survey, name)) for name in ARRAYS} | {"filled": survey.filled[0]}
+def write_field_probe(path: Path, probe: FieldProbe, mark: str) -> None:
+    """Write the probe of the field with the stamp `mark`, whole or not at all. Raises SnergError where it cannot be written."""
+    rates = {RATE_KEYS[name]: value for name, value in asdict(probe.rates).items()}
+    about = {"survey": VERSION, "field": mark, "rates": rates, "share": probe.share}
+    about |= {"pilot": probe.pilot, "seconds": probe.seconds, "size": probe.filled[1]}
+    arrays = {name: np.asarray(getattr(probe, name)) for name in ARRAYS} | {"filled": probe.filled[0]}
     write_arrays(path, arrays | {"about": np.array(json.dumps(about))})
 
 
-def check_survey(path: Path) -> None:
-    """Raises SnergError when something else than a survey is at `path`, which `write_survey` would replace."""
+def check_field_probe(path: Path) -> None:
+    """Raise SnergError when `path` holds something other than a field probe, which `write_field_probe` would overwrite."""
     try:
-        if not path.exists() or "survey" in opened(path)[0]:
+        if not path.exists() or "survey" in open_file(path)[0]:
             return
     except SnergError:
         pass
-    raise SnergError(f"{path} is there already, and is no look at a field; name another file to keep one in, or delete it.")
+    raise SnergError(f"{path} is there already, and is not a field probe; choose another file, or delete it.")
 
 
-def opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """A survey's JSON value and arrays. Raises SnergError where it cannot be read."""
+def open_file(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The JSON value and the arrays (of any shape, see `checked`) of a file. Raises SnergError where it cannot be read."""
     with reading(path, "delete it"):
-        kept = read_arrays(path, MAX_BYTES)
-        return record(json.loads(str(kept.pop("about"))), "about"), kept
+        arrays = read_arrays(path, MAX_BYTES)
+        return record(json.loads(str(arrays.pop("about"))), "about"), arrays
 
 
-def check(about: dict[str, Any], found: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """What a survey holds beside its fields, by its names. Raises ValueError, or anything else, on what `write_survey` does not write."""
-    m, s, n = len(found["points"]), len(found["voxels"]), len(found["filled"])
+def checked(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """The attributes of a FieldProbe, apart from its fields, by name: arrays [M, 3], [M], [S], [S, M] as FieldProbe documents.
+
+    Raises ValueError, KeyError or TypeError on a file that `write_field_probe` did not write.
+    """
+    m, s, n = len(arrays["points"]), len(arrays["voxels"]), len(arrays["filled"])
     shapes = {"points": (m, 3), "inside": (m,), "voxels": (s,), "held": (s, m), "kept": (s, m), "samples": (s,), "filled": (n, 3)}
     for name, shape in shapes.items():
-        numbers(found[name].astype(np.uint8) if found[name].dtype == bool else found[name], name, shape)
-        if (found[name].dtype == bool) != (name in ("inside", "held", "kept")):
-            raise ValueError(f"{name} is {found[name].dtype}")
-    if not s or not (found["voxels"] > 0).all() or not (found["samples"] >= 1).all():
-        raise ValueError("it looked at no sizes of voxels")
+        array = arrays[name]
+        numbers(array.astype(np.uint8) if array.dtype == bool else array, name, shape)
+        if (array.dtype == bool) != (name in FLAGS):
+            raise ValueError(f"{name} is {array.dtype}")
+    if not s or not (arrays["voxels"] > 0).all() or not (arrays["samples"] >= 1).all():
+        raise ValueError("it has no voxel sizes")
     values: dict[str, Any] = {name: number(about[name], name, 0) for name in ("share", "pilot", "seconds")}
-    given = record(about["rates"], "rates")
-    values["rates"] = Rates(**{one.name: number(given[one.name], one.name) for one in fields(Rates)})
-    values["samples"] = tuple(int(count) for count in found["samples"])
-    values["filled"] = found["filled"], number(about["size"], "size", 0)
-    return {name: found[name] for name in ARRAYS} | values
+    rates = record(about["rates"], "rates")
+    values["rates"] = Rates(**{name: number(rates[key], key) for name, key in RATE_KEYS.items()})
+    values["samples"] = tuple(int(count) for count in arrays["samples"])
+    values["filled"] = arrays["filled"], number(about["size"], "size", 0)
+    return {name: arrays[name] for name in ARRAYS} | values
 
 
-def read_survey(path: Path, mark: str, field: Callable[[], Field]) -> FieldProbe | None:
-    """What `write_survey` kept of the field with this stamp, which is then read; None where nothing is kept, it is of another field or
-    machine or cannot be read: it is soon made again. Raises SnergError as `field` does."""
+def read_field_probe(path: Path, mark: str, field: Callable[[], Field]) -> FieldProbe | None:
+    """The probe of the field with the stamp `mark`. None where there is no file, where it belongs to another field or machine, or
+    where it cannot be read: a new probe takes seconds. field: reads the field; its errors are raised.
+    """
     try:
-        about, found = opened(path)
+        about, arrays = open_file(path)
         if about.get("survey") != VERSION or about.get("field") != mark:
             return None
         with reading(path, "delete it"):
-            values = check(about, found)
+            values = checked(about, arrays)
     except SnergError:
         return None
-    read = field()
-    return FieldProbe(field=read, coarse=coarse(read), **values)
+    source = field()
+    return FieldProbe(field=source, coarse=coarse(source), **values)

@@ -1,4 +1,4 @@
-"""What a measurement was taken on, and the memory that it took."""
+"""The machine that a measurement ran on, and the peak memory of this process."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("numpy", "jax", "pillow")
-LOOK_SECONDS = 0.02
-STATUS = Path("/proc/self/statm")
+PACKAGES = ("numpy", "jax", "pillow")  # whose versions are recorded
+POLL_SECONDS = 0.02  # between readings of the memory: shorter peaks are missed
+STATUS = Path("/proc/self/statm")  # Linux; its second number is the resident memory in pages
 
 
 def describe_machine() -> dict[str, Any]:
@@ -30,7 +30,7 @@ def describe_machine() -> dict[str, Any]:
 
 
 def machine_line(machine: dict[str, Any]) -> str:
-    """The machine in a sentence."""
+    """The value of `describe_machine` in a sentence."""
     memory = f"{machine['memory_gb']} GB" if machine["memory_gb"] else "memory unknown"
     return (
         f"{machine['processor']}, {machine['cores']} cores, {memory}; {machine['system']}; Python {machine['python']}, "
@@ -46,27 +46,27 @@ def _version(package: str) -> str | None:
 
 
 class Peak:
-    """The most memory, in bytes, that this process held at any time while it was watched; None where the system does not say."""
+    """The peak memory of this process."""
 
-    most: int | None = None
+    most: int | None = None  # bytes; None where the system does not say
 
 
 @contextmanager
 def watched() -> Iterator[Peak]:
-    """Look at this process's memory now and then until the end."""
+    """Measure the peak resident memory of this process inside the `with` block."""
     peak, done = Peak(), threading.Event()
 
-    def look() -> None:
+    def poll() -> None:
         page = os.sysconf("SC_PAGE_SIZE")
         while True:
             peak.most = max(peak.most or 0, int(STATUS.read_text().split()[1]) * page)
-            if done.wait(LOOK_SECONDS):
+            if done.wait(POLL_SECONDS):
                 return
 
     if not STATUS.exists():
         yield peak
         return
-    thread = threading.Thread(target=look, daemon=True)
+    thread = threading.Thread(target=poll, daemon=True)
     thread.start()
     try:
         yield peak

@@ -1,4 +1,4 @@
-"""How near one picture is to another. NumPy alone."""
+"""Errors between two images: mean squared error, PSNR and SSIM."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SnergError
+from .packages import needs_package
 
-WINDOW = 11  # taps of SSIM's Gaussian
+WINDOW = 11  # taps of SSIM's Gaussian, and its standard deviation in pixels (Wang et al. 2004)
 SIGMA = 1.5
-K1, K2 = 0.01, 0.03
+K1, K2 = 0.01, 0.03  # of SSIM, stabilise its fractions (Wang et al. 2004, section III.B)
 
 
 def mse(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> float:
-    """Mean squared error of two pictures [H, W, C] in [0, 1], computed in float64. mask: [H, W] bool, the pixels that count.
+    """Mean squared error of two images [H, W, C] in [0, 1], computed in float64. mask: [H, W] bool, the pixels that count.
 
     Raises SnergError when their shapes differ, a value is not finite, or no pixel counts.
     """
@@ -33,17 +34,17 @@ def mse(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> f
 
 
 def psnr(a: NDArray[Any], b: NDArray[Any]) -> float:
-    """Peak signal-to-noise ratio in dB of pictures in [0, 1]; infinite for identical ones (hard case 30)."""
+    """Peak signal-to-noise ratio in dB of images [H, W, C] in [0, 1]; infinite where they are identical (hard case 30). Raises as `mse`."""
     return psnr_of(mse(a, b))
 
 
 def psnr_of(error: float) -> float:
-    """dB of a mean squared error."""
+    """PSNR in dB of a mean squared error of values in [0, 1]; infinite for 0."""
     return -10 * math.log10(error) if error > 0 else math.inf
 
 
 def mean_psnr(errors: Iterable[float]) -> float:
-    """dB of the mean of the errors of several views, so that one perfect view does not make it infinite (hard case 30).
+    """PSNR in dB of the mean of the mean squared errors of several views: one identical view does not make it infinite (hard case 30).
 
     Raises SnergError when there are none.
     """
@@ -54,10 +55,11 @@ def mean_psnr(errors: Iterable[float]) -> float:
 
 
 def ssim(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> float:
-    """Structural similarity (Wang et al. 2004) of pictures [H, W, C] in [0, 1], mean over pixels and channels.
+    """Structural similarity (Wang et al. 2004) of images [H, W, C] in [0, 1], mean over pixels and channels.
 
-    An 11 x 11 Gaussian of sigma 1.5, only where it fits whole. mask: [H, W] bool, the pixels that count; around them, within
-    a window, what does not count is taken for equal. Raises SnergError as `mse` does, or when they are under 11 pixels.
+    The window is an 11 x 11 Gaussian with a standard deviation of 1.5 pixels, at the pixels where it is inside the image. mask: [H, W]
+    bool, the pixels that count; the others are taken to be equal in both images. Raises SnergError as `mse` does, for images with a side
+    under 11 pixels, and where SciPy is not installed.
     """
     mse(a, b, mask)
     if min(a.shape[:2]) < WINDOW:
@@ -77,10 +79,12 @@ def ssim(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> 
 
 
 def blur(x: NDArray[Any]) -> NDArray[Any]:
-    """[H, W, C] convolved with the Gaussian where it fits: [H - 10, W - 10, C]."""
-    taps = np.exp(-0.5 * ((np.arange(WINDOW) - WINDOW // 2) / SIGMA) ** 2)
+    """x [H, W, C] convolved with SSIM's Gaussian where the window is inside the image: [H - 10, W - 10, C]."""
+    with needs_package("scipy", "Measurements of SSIM"):
+        from scipy import ndimage
+    half = WINDOW // 2
+    taps = np.exp(-0.5 * ((np.arange(WINDOW) - half) / SIGMA) ** 2)
     taps /= taps.sum()
     for axis in (0, 1):
-        windows = np.lib.stride_tricks.sliding_window_view(x, WINDOW, axis=axis)
-        x = windows @ taps
-    return x
+        x = ndimage.correlate1d(x, taps, axis=axis)
+    return x[half:-half, half:-half]

@@ -1,4 +1,4 @@
-"""Which configurations are worth having: those that nothing else beats, and the one that a wish calls for."""
+"""The Pareto front of a study's rows, and the row that meets a target."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-Row = dict[str, Any]
-ALIKE = 1.05  # times a frame within which bytes decide
+StudyRow = dict[str, Any]
+"""What was measured of a configuration, or of a field: JSON values, as in rows/KEY.json."""
+SAME_TIME_RATIO = 1.05  # ratio of milliseconds a frame up to which rows are equally fast and megabytes decide
 
 
 @dataclass(frozen=True)
-class Target:
-    """What a scene is wanted to have: at least so many dB on held-out views, at most so many megabytes, at most so many
-    milliseconds a frame; None where that does not matter."""
+class StudyTarget:
+    """What a scene has to reach; None where it does not matter."""
 
-    db: float | None = None
-    mb: float | None = None
-    ms: float | None = None
+    db: float | None = None  # lowest PSNR on held-out views, in dB
+    mb: float | None = None  # most megabytes of files
+    ms: float | None = None  # most milliseconds a frame
 
     def __bool__(self) -> bool:
         return (self.db, self.mb, self.ms) != (None, None, None)
 
     def text(self) -> str:
-        """For people."""
+        """The target in words."""
         wishes = ((self.db, "at least {:g} dB"), (self.mb, "at most {:g} MB"), (self.ms, "at most {:g} ms a frame"))
         return ", ".join(text.format(value) for value, text in wishes if value is not None)
 
-    def misses(self, row: Row) -> float:
-        """How far a row is from it: 0 where it has it all, else the sum of what is missing, as shares (dB: tenths of a decibel)."""
+    def misses(self, row: StudyRow) -> float:
+        """How far a row is from the target: 0 where it meets it, else the sum of the relative excesses, and of the missing dB / 10."""
         missing = 0.0
         if self.db is not None:
             missing += max(self.db - row["psnr"], 0) / 10
@@ -38,30 +38,33 @@ class Target:
         return missing
 
 
-def front(rows: Sequence[Row], *costs: str) -> list[Row]:
-    """The rows than which no other is as good in every one of `costs` (less is better) and in psnr, and better in one; cheapest first."""
+def pareto_front(rows: Sequence[StudyRow], *costs: str) -> list[StudyRow]:
+    """The Pareto front of rows in psnr and in each of `costs` (less is better), the cheapest first.
 
-    def beats(a: Row, b: Row) -> bool:
+    A row is on the front when no other row is as good in all of these and better in one.
+    """
+
+    def dominates(a: StudyRow, b: StudyRow) -> bool:
         pairs = [(a[cost], b[cost]) for cost in costs] + [(-a["psnr"], -b["psnr"])]
         return all(x <= y for x, y in pairs) and any(x < y for x, y in pairs)
 
-    best = [row for row in rows if not any(beats(other, row) for other in rows)]
-    return sorted(best, key=lambda row: [row[cost] for cost in costs])
+    front = [row for row in rows if not any(dominates(other, row) for other in rows)]
+    return sorted(front, key=lambda row: [row[cost] for cost in costs])
 
 
-def choose(rows: Sequence[Row], target: Target) -> tuple[Row | None, Row | None]:
-    """(the row to take, the row that comes closest): one of them None.
+def choose(rows: Sequence[StudyRow], target: StudyTarget) -> tuple[StudyRow | None, StudyRow | None]:
+    """(the row to take, None) where a row on the Pareto front meets the target, else (None, the closest row); (None, None) without rows.
 
-    With a quality to reach it is the cheapest on the front that does: of those within ALIKE of the fewest milliseconds a frame the one
-    with the fewest megabytes. With sizes or times alone it is the best that keeps to them.
+    With a target in dB it is the row with the fewest megabytes among the fastest that meet it, up to SAME_TIME_RATIO. Without one it is
+    the row with the highest PSNR that meets the target.
     """
-    best = front(rows, "ms", "megabytes")
-    if not best:
+    front = pareto_front(rows, "ms", "megabytes")
+    if not front:
         return None, None
-    enough = [row for row in best if target.misses(row) == 0]
+    enough = [row for row in front if target.misses(row) == 0]
     if not enough:
-        return None, min(best, key=target.misses)
+        return None, min(front, key=target.misses)
     if target.db is None:
-        return max(enough, key=lambda row: row["psnr"]), None
-    quickest = min(row["ms"] for row in enough)
-    return min((row for row in enough if row["ms"] <= ALIKE * quickest), key=lambda row: row["megabytes"]), None
+        return max(enough, key=lambda row: float(row["psnr"])), None
+    fastest = min(row["ms"] for row in enough)
+    return min((row for row in enough if row["ms"] <= SAME_TIME_RATIO * fastest), key=lambda row: float(row["megabytes"])), None

@@ -1,4 +1,4 @@
-"""What a study's rows say: fronts, knobs, stages and predictions, each traceable to rows by their keys."""
+"""Summaries of a study's rows: paths of parameters, stages, predictions, and the rows as CSV."""
 
 from __future__ import annotations
 
@@ -9,89 +9,101 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .pareto import Row
-from .plan import RESOLUTION, STAGES, WATERFALL, Step
+from .pareto import StudyRow
+from .plan import RESOLUTION, STAGES, WATERFALL, PlanStep
 
-GOOD = 0.25  # a prediction within this of what then happens is a good one
+GOOD_ERROR = 0.25  # relative error of a good prediction
 PREDICTED = {"bake": "bake, s", "refine": "refining, s", "ms": "frame, ms", "megabytes": "files, MB"}
 
 
 @dataclass(frozen=True)
-class Point:
-    """A row on a knob's path. value: of the knob, for people; usual: whether the usual configuration is meant."""
+class PathPoint:
+    """A row on the path of a parameter."""
 
-    value: str
-    row: Row
-    usual: bool
+    value: str  # of the parameter, for people
+    row: StudyRow
+    is_baseline: bool
 
 
-def making(row: Row) -> float:
-    """Seconds from a field to files."""
+def making_seconds(row: StudyRow) -> float:
+    """Seconds to bake, fine-tune and write a row's scene."""
     return float(sum(row["seconds"].get(name, 0.0) for name in ("bake", "refine", "write")))
 
 
-def knobs(rows: dict[str, Row], plan: Sequence[Step], usual: str) -> dict[str, list[Point]]:
-    """Each knob's path of measured rows, in the plan's order; those with one row alone say nothing and are left out."""
-    paths: dict[str, list[Point]] = {}
+def parameter_paths(rows: dict[str, StudyRow], plan: Sequence[PlanStep], baseline: str) -> dict[str, list[PathPoint]]:
+    """{parameter: its measured rows in the plan's order}, of parameters with two rows or more. baseline: the key of its row."""
+    paths: dict[str, list[PathPoint]] = {}
     for step in plan:
         row = rows.get(step.config.key)
-        for knob, value in step.knobs if row else ():
-            if knob != WATERFALL and row is not None:
-                paths.setdefault(knob, []).append(Point(value, row, step.config.key == usual))
-    for knob, path in paths.items():
-        if knob.startswith(RESOLUTION):
+        for parameter, value in step.parameters if row else ():
+            if parameter != WATERFALL and row is not None:
+                paths.setdefault(parameter, []).append(PathPoint(value, row, step.config.key == baseline))
+    for parameter, path in paths.items():
+        if parameter.startswith(RESOLUTION):
             path.sort(key=lambda point: point.row["config"]["bake"]["resolution"])
-    return {knob: path for knob, path in paths.items() if len(path) > 1}
+    return {parameter: path for parameter, path in paths.items() if len(path) > 1}
 
 
-def stages(rows: dict[str, Row], plan: Sequence[Step], field: Row | None) -> list[tuple[str, Row]]:
-    """(stage, row) from the field to the web page, those that were measured."""
-    found = {value: rows[step.config.key] for step in plan for knob, value in step.knobs if knob == WATERFALL and step.config.key in rows}
+def stage_rows(rows: dict[str, StudyRow], plan: Sequence[PlanStep], field: StudyRow | None) -> list[tuple[str, StudyRow]]:
+    """(stage, row) of each measured stage from the field to the web page."""
+    keys = {value: step.config.key for step in plan for parameter, value in step.parameters if parameter == WATERFALL}
+    found = {stage: rows[key] for stage, key in keys.items() if key in rows}
     first = [("field", field)] if field is not None else []
     return first + [(stage, found[stage]) for stage in STAGES if stage in found]
 
 
-def difference(row: Row, usual: Row) -> tuple[float, float]:
-    """dB by which a row's views are better than the usual one's: the mean over the views and half the width of its 95 % interval
-    (Student's t, paired by view); infinite for a single view."""
+def difference(row: StudyRow, baseline: StudyRow) -> tuple[float, float]:
+    """The mean gain in dB of a row's views over the baseline's, and half the width of its 95 % interval (Student's t, paired by view).
+
+    The interval is infinite for a single view.
+    """
     from scipy.special import stdtrit
 
-    gain = np.array(row["psnr_of_views"]) - np.array(usual["psnr_of_views"])
+    gain = np.array(row["psnr_of_views"]) - np.array(baseline["psnr_of_views"])
     if len(gain) < 2:
         return float(gain.mean()), float("inf")
     return float(gain.mean()), float(stdtrit(len(gain) - 1, 0.975) * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
-def predictions(rows: Sequence[Row]) -> list[tuple[str, Row, float, float]]:
-    """(what, row, said, was) of every number that was predicted; what a bake and its refining took is said once
-    a bake."""
-    found: list[tuple[str, Row, float, float]] = []
+def predictions(rows: Sequence[StudyRow]) -> list[tuple[str, StudyRow, float, float]]:
+    """(name in PREDICTED, row, predicted, measured) of every predicted number; those of a bake once for all rows that share it."""
+    found: list[tuple[str, StudyRow, float, float]] = []
     done: set[tuple[str, str]] = set()
     for row in rows:
         measured = {"bake": row["seconds"].get("bake"), "refine": row["seconds"].get("refine")}
         measured |= {"ms": row["ms"], "megabytes": row["megabytes"]}
-        once = str(row["config"]["bake"]) + row["config"]["field"] if row["config"] else row["key"]
-        plain = row["config"] is not None and row["config"]["codec"]["name"] in ("png", "float")
-        usual = row["config"] is not None and not row["config"]["march"]["per_sample_network"]
-        for name, was in measured.items():
-            said = row.get("predicted", {}).get(name)
-            again = name in ("bake", "refine") and (name, once) in done
-            if was and said and not again and (plain or name != "megabytes") and (usual or name != "ms"):
-                found.append((name, row, float(said), float(was)))
-                done.add((name, once))
+        for name, value in measured.items():
+            predicted, bake = row.get("predicted", {}).get(name), (name, _bake_of(row))
+            again = name in ("bake", "refine") and bake in done
+            if value and predicted and not again and _is_predicted(row, name):
+                found.append((name, row, float(predicted), float(value)))
+                done.add(bake)
     return found
 
 
-def accuracy(found: Sequence[tuple[str, Row, float, float]]) -> dict[str, tuple[int, int]]:
-    """Of each number that was predicted: (how often within GOOD of what was, how often at all)."""
+def _bake_of(row: StudyRow) -> str:
+    """What rows of the same bake share."""
+    return str(row["config"]["bake"]) + str(row["config"]["field"]) if row["config"] else str(row["key"])
+
+
+def _is_predicted(row: StudyRow, name: str) -> bool:
+    """Whether the cost model is for this number: bytes are of PNG or floats, milliseconds of a network that runs once a pixel."""
+    config = row["config"]
+    if name == "megabytes":
+        return config is not None and config["codec"]["name"] in ("png", "float")
+    return name != "ms" or (config is not None and not config["march"]["per_sample_network"])
+
+
+def accuracy(found: Sequence[tuple[str, StudyRow, float, float]]) -> dict[str, tuple[int, int]]:
+    """{name: (number of predictions within GOOD_ERROR, number of predictions)}."""
     result: dict[str, tuple[int, int]] = {}
-    for name, _, said, was in found:
+    for name, _, predicted, measured in found:
         good, count = result.get(name, (0, 0))
-        result[name] = good + (abs(said / was - 1) <= GOOD), count + 1
+        result[name] = good + (abs(predicted / measured - 1) <= GOOD_ERROR), count + 1
     return result
 
 
-COLUMNS = (
+COLUMNS = (  # of study.csv; "knobs" are the parameters, a name that scripts read
     *("key", "knobs", "psnr", "ssim", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
     *("blocks", "samples", "views"),
 )
@@ -99,18 +111,18 @@ SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "w
 TAIL = ("refine", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")
 
 
-def csv_of(rows: Sequence[Row], plan: Sequence[Step]) -> str:
-    """Every row as a line: what it is, its quality, its seconds a stage, what was predicted, and its configuration."""
+def csv_of(rows: Sequence[StudyRow], plan: Sequence[PlanStep]) -> str:
+    """Every row as a line of CSV: its quality, seconds of each stage, predictions and configuration."""
     known = {step.config.key: step.text for step in plan}
     text = io.StringIO()
     writer = csv.writer(text)
-    said = [f"predicted_{name}" for name in PREDICTED]
+    predicted = [f"predicted_{name}" for name in PREDICTED]
     settings = ("resolution", "samples", "alpha_threshold", "visibility_threshold", "visibility", "quantise", "network")
-    writer.writerow([*COLUMNS, *(f"seconds_{name}" for name in SECONDS), *said, *(f"bake_{name}" for name in settings), *TAIL])
+    writer.writerow([*COLUMNS, *(f"seconds_{name}" for name in SECONDS), *predicted, *(f"bake_{name}" for name in settings), *TAIL])
     for row in rows:
         config, seconds = row["config"] or {}, row.get("seconds", {})
-        told = row | {"knobs": known.get(row["key"], row["key"])}
-        cells = [told.get(name) for name in COLUMNS] + [seconds.get(name) for name in SECONDS]
+        named = row | {"knobs": known.get(row["key"], row["key"])}
+        cells = [named.get(name) for name in COLUMNS] + [seconds.get(name) for name in SECONDS]
         cells += [row.get("predicted", {}).get(name) for name in PREDICTED]
         cells += [config.get("bake", {}).get(name) for name in settings]
         march, codec = config.get("march", {}), config.get("codec", {})

@@ -1,6 +1,6 @@
-"""A study's measurements: each configuration baked, stored, read back and shown, and what that took (JAX where a field is baked).
+"""The measurements of a study: each configuration is baked, stored, read back, rendered and timed (JAX where a field is baked).
 
-A row is written as soon as it is finished, and is never measured again: a study that was stopped or killed goes on.
+A row is written as soon as it is measured, and is not measured again when a study is continued.
 """
 
 from __future__ import annotations
@@ -39,50 +39,47 @@ from ..rendering.render import render_scene
 from ..scene.scene import Scene
 from .cost_model import Estimate, estimate
 from .evaluate import Score
-from .field_probe import FieldProbe, survey
+from .field_probe import FieldProbe, probe_field
 from .machine import watched
-from .pareto import Row
-from .plan import Config, Step
+from .pareto import StudyRow
+from .plan import Configuration, PlanStep
 
-FIELD = "field"
-SMALL = 4  # times smaller, each way, is a picture that tells how long the whole takes
-WRITING = 4.0  # seconds to store a scene and read it back, beside what the estimate counts
+FIELD = "field"  # key of the row of a field itself
+SMALL = 4  # ratio of the sides of a view and of the smaller picture whose time predicts the view's
+WRITING_SECONDS = 4.0  # to store a scene and read it back, about: of Lego at 512 voxels
+NETWORK_SLOWDOWN = 12.0  # of a frame whose network runs at every sample in place of once a pixel, about: of scenes with features
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """What is studied. fields: folders of fields by name ('' where there is one); scene: a baked one, where no field is given.
+class StudySubject:
+    """What a study measures."""
 
-    views: those that are measured on, thinned out; training: the images to refine on, None where they are not there; box: of the
-    bakes, None for all that the field holds. background: what pictures are compared over. repeats: how often what is timed is done.
-    """
-
-    fields: dict[str, Path]
-    scene: Scene | None
-    views: Dataset
-    training: Dataset | None
-    box: Box | None
-    background: tuple[float, float, float]
-    repeats: int = 1
+    fields: dict[str, Path]  # folders of fields by name, '' where there is one
+    scene: Scene | None  # a baked scene, where there is no field
+    views: Dataset  # held-out views to measure on
+    training: Dataset | None  # images to fine-tune on, None where they are missing
+    box: Box | None  # of the bakes, None for the field's whole domain
+    background: tuple[float, float, float]  # RGB in [0, 1] that images are composited over
+    repeats: int = 1  # of each timing; the median counts
 
 
 class Sweep:
-    """Rows of configurations in a folder: rows/KEY.json, pictures/KEY.png, and work/, scenes that more rows may need."""
+    """The rows of a study in a folder: rows/KEY.json, pictures/KEY.png, and work/ with bakes that several rows share."""
 
-    def __init__(self, subject: Subject, out: Path) -> None:
-        """Raises SnergError when the folder's rows cannot be read."""
+    def __init__(self, subject: StudySubject, out: Path) -> None:
+        """Read the rows that the folder has. Raises SnergError when they cannot be read."""
         self.subject, self.out = subject, out
         self.rows = {path.stem: read_row(path) for path in sorted((out / "rows").glob("*.json"))}
         self._fields: dict[str, Field] = {}
-        self._surveys: dict[str, FieldProbe] = {}
+        self._probes: dict[str, FieldProbe] = {}
         self._held: tuple[str, Scene, dict[str, Any]] | None = None
         self._stored: dict[tuple[str, bool, str], tuple[Scene, dict[str, float]]] = {}
 
-    # What is there to begin with
+    # Inputs
 
     @cached_property
     def truth(self) -> list[NDArray[Any]]:
-        """The held-out pictures [H, W, 3] in [0, 1] over the background."""
+        """The held-out images [H, W, 3] in [0, 1], composited over the background."""
         return [over(self.subject.views.read(index), self.subject.background) for index in range(len(self.subject.views.views))]
 
     def field(self, name: str) -> Field:
@@ -91,70 +88,70 @@ class Sweep:
             self._fields[name] = open_field(self.subject.fields[name])
         return self._fields[name]
 
-    def survey(self, name: str) -> FieldProbe:
-        """Of a field, for predictions; taken once."""
-        if name not in self._surveys:
-            self._surveys[name] = survey(self.field(name))
-        return self._surveys[name]
+    def probe(self, name: str) -> FieldProbe:
+        """The field probe of a field, for predictions; measured once."""
+        if name not in self._probes:
+            self._probes[name] = probe_field(self.field(name))
+        return self._probes[name]
 
     def refinable(self, name: str) -> bool:
-        """Whether what is baked of a field can be refined: it is view-dependent, and its images are there."""
+        """Whether a bake of a field can be fine-tuned: the field is view-dependent, and its training images are there."""
         return self.subject.training is not None and self.field(name).network is not None
 
-    def predicted(self, config: Config) -> Estimate | None:
-        """What a configuration ought to take on this machine; None for a scene that is baked already."""
+    def predicted(self, config: Configuration) -> Estimate | None:
+        """The estimate of a configuration on this machine; None for a scene that was baked before."""
         if self.subject.scene is not None:
             return None
         camera = self.subject.views.cameras[0]
-        looked = self.survey(config.field)
-        return estimate(looked, self._box(looked.field), config.bake, config.refine, (camera.width, camera.height))
+        probe = self.probe(config.field)
+        return estimate(probe, self._box(probe.field), config.bake, config.refine, (camera.width, camera.height))
 
     def _box(self, field: Field) -> Box:
         return self.subject.box if self.subject.box is not None else field.domain.world_box()
 
-    def needs(self, config: Config) -> float:
-        """Seconds that measuring a configuration will take, about: less where its bake is there already."""
-        count, said = len(self.subject.views.views) * self.subject.repeats, self.predicted(config)
-        if said is None:
+    def needs(self, config: Configuration) -> float:
+        """Predicted seconds to measure a configuration; a bake that is kept is not counted."""
+        count, estimated = len(self.subject.views.views) * self.subject.repeats, self.predicted(config)
+        if estimated is None:
             known = [row["ms"] / 1e3 for row in self.rows.values() if "ms" in row]
-            return WRITING + count * (statistics.median(known) if known else 1.0)
-        slower = 12.0 if config.march.per_sample_network else 1.0  # measured: of scenes with features
-        seconds = count * (slower * said.preview + 0.1) + WRITING
+            return WRITING_SECONDS + count * (statistics.median(known) if known else 1.0)
+        slowdown = NETWORK_SLOWDOWN if config.march.per_sample_network else 1.0
+        seconds = count * (slowdown * estimated.preview + 0.1) + WRITING_SECONDS
         if not self._baked_already(config):
-            seconds += said.bake + said.tables
+            seconds += estimated.bake + estimated.tables
         if config.refine and not (self._work(config) / "refined.npz").is_file():
-            seconds += said.seconds.get("refine", 0.0)
+            seconds += estimated.seconds.get("refine", 0.0)
         return seconds
 
     # One row
 
-    def row(self, step: Step, progress: Progress = silent) -> Row:
-        """Measure a configuration, and write its row and its picture. Raises Cancelled when `progress` does: then nothing is written."""
+    def row(self, step: PlanStep, progress: Progress = silent) -> StudyRow:
+        """Measure a configuration, and write its row and its picture. Raises Cancelled when `progress` does; then nothing is written."""
         config = step.config
-        said = self.predicted(config)
-        snerg, told = self.scene_of(config, within(progress, 0, 0.5))
-        shown, stored = self._shown(config, snerg)
-        row: Row = {"key": config.key, "config": config.to_json(), **told, **stored}
-        row["seconds"] = told["seconds"] | {name: value for name, value in stored.items() if name in ("write", "read")}
+        estimated = self.predicted(config)
+        scene, report = self.scene_of(config, within(progress, 0, 0.5))
+        shown, stored = self._stored_scene(config, scene)
+        row: StudyRow = {"key": config.key, "config": config.to_json(), **report, **stored}
+        row["seconds"] = report["seconds"] | {name: value for name, value in stored.items() if name in ("write", "read")}
         began = time.perf_counter()
         acceleration_of(shown)
         row["seconds"]["tables"] = round(time.perf_counter() - began, 3)
         row |= self._measured(config.key, lambda camera: render_scene(shown, camera, config.march), config.page, within(progress, 0.6, 1))
         row |= {"blocks": len(shown.cells), "memory_megabytes": round(shown.cells.nbytes / 1e6, 1), "voxels": list(shown.shape)}
-        if said is not None:
-            row["predicted"] = self._prediction(said, config)
+        if estimated is not None:
+            row["predicted"] = self._prediction(estimated, config)
         return self._keep(row)
 
-    def field_row(self, name: str, progress: Progress = silent) -> Row:
+    def field_row(self, name: str, progress: Progress = silent) -> StudyRow:
         """Measure a field itself (JAX)."""
         field = self.field(name)
         key = field_key(name)
-        row: Row = {"key": key, "config": None, "field": name, "trained_seconds": field.about.get("seconds")}
+        row: StudyRow = {"key": key, "config": None, "field": name, "trained_seconds": field.about.get("seconds")}
         row |= self._measured(key, lambda camera: render_field(field, camera), False, progress)
         return self._keep(row | {"megabytes": round(folder_bytes(self.subject.fields[name]) / 1e6, 3)})
 
     def field_seconds(self, name: str) -> float:
-        """What measuring a field itself will take, by a small picture of it (JAX)."""
+        """Predicted seconds to measure a field itself, from the time of a small picture of it (JAX)."""
         camera, field = self.subject.views.cameras[0], self.field(name)
         small = camera.resized(*(max(8, side // SMALL) for side in (camera.width, camera.height)))
         render_field(field, small)
@@ -162,16 +159,16 @@ class Sweep:
         render_field(field, small)
         return (time.perf_counter() - began) * SMALL**2 * len(self.subject.views.views) * self.subject.repeats
 
-    def _keep(self, row: Row) -> Row:
+    def _keep(self, row: StudyRow) -> StudyRow:
         (self.out / "rows").mkdir(exist_ok=True)
         write_bytes(self.out / "rows" / f"{row['key']}.json", json_bytes(row))
         self.rows[row["key"]] = row
         return row
 
-    def _measured(self, key: str, render: Any, page: bool, progress: Progress) -> Row:
+    def _measured(self, key: str, render: Any, page: bool, progress: Progress) -> StudyRow:
         """Quality on the views, and milliseconds a frame: the median and the 95th percentile over the views of medians over repeats."""
         views, score = self.subject.views, Score()
-        render(views.cameras[0].resized(32, 32))  # what is done once a scene, or compiled, is no part of a frame
+        render(views.cameras[0].resized(32, 32))  # compiling, and what is computed once for a scene, is not part of a frame
         count, middle = len(views.views), len(views.views) // 2
         for index, (camera, truth) in enumerate(zip(views.cameras, self.truth, strict=True)):
             frame, seconds = self._repeated(render, camera)
@@ -189,7 +186,7 @@ class Sweep:
         return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
 
     def _show(self, key: str, picture: NDArray[Any], truth: NDArray[Any]) -> None:
-        """Keep a row's picture, and once what all of them are compared with."""
+        """Write a row's picture [H, W, 3], and once the true image [H, W, 3]."""
         folder = self.out / "pictures"
         folder.mkdir(exist_ok=True)
         write_png(folder / f"{key}.png", to_uint8(picture))
@@ -204,31 +201,35 @@ class Sweep:
             seconds.append(time.perf_counter() - began)
         return frame, statistics.median(seconds)
 
-    def _prediction(self, said: Estimate, config: Config) -> dict[str, float]:
-        """In the row's own terms; a bake's compiling is done by the survey, and its memory is that of a process which does nothing else."""
-        result = {"bake": said.bake - said.seconds.get("start", 0.0), "ms": 1e3 * said.preview, "megabytes": said.megabytes}
-        if "refine" in said.seconds and config.refine:
-            result["refine"] = said.seconds["refine"]
+    def _prediction(self, estimated: Estimate, config: Configuration) -> dict[str, float]:
+        """The estimate by names of the row, without compiling, which the field probe did, and without memory, which this process shares."""
+        result = {
+            "bake": estimated.bake - estimated.seconds.get("start", 0.0),
+            "ms": 1e3 * estimated.preview,
+            "megabytes": estimated.megabytes,
+        }
+        if "refine" in estimated.seconds and config.refine:
+            result["refine"] = estimated.seconds["refine"]
         return {name: round(value, 3) for name, value in result.items()}
 
     # Scenes
 
-    def scene_of(self, config: Config, progress: Progress = silent) -> tuple[Scene, dict[str, Any]]:
+    def scene_of(self, config: Configuration, progress: Progress = silent) -> tuple[Scene, dict[str, Any]]:
         """The scene of a configuration before it is stored, and {"seconds": of its stages, "peak_megabytes", "samples"}."""
-        snerg, told = self._baked(config, within(progress, 0, 0.7))
-        if not config.refine or self.subject.scene is not None or snerg.network is None or self.subject.training is None:
-            return snerg, told
+        scene, report = self._baked(config, within(progress, 0, 0.7))
+        if not config.refine or self.subject.scene is not None or scene.network is None or self.subject.training is None:
+            return scene, report
         path = self._work(config) / "refined.npz"
         if not path.is_file():
             settings, began = RefineSettings(background=self.subject.background), time.perf_counter()
-            better, _ = refine(snerg, self.subject.training, settings, within(progress, 0.7, 1))
+            better, _ = refine(scene, self.subject.training, settings, within(progress, 0.7, 1))
             assert better.network is not None
             write_arrays(path, {**better.network._asdict(), "seconds": np.array(time.perf_counter() - began)})
         network, took = _read_refined(path)
-        return replace(snerg, network=network), told | {"seconds": told["seconds"] | {"refine": round(took, 3)}}
+        return replace(scene, network=network), report | {"seconds": report["seconds"] | {"refine": round(took, 3)}}
 
-    def _baked(self, config: Config, progress: Progress) -> tuple[Scene, dict[str, Any]]:
-        """The scene as it is baked, from memory, from an earlier run or from the field."""
+    def _baked(self, config: Configuration, progress: Progress) -> tuple[Scene, dict[str, Any]]:
+        """The scene of the bake, from memory, from an earlier run, or baked now, and its report."""
         if self.subject.scene is not None:
             return self.subject.scene, {"seconds": {}}
         if self._held is not None and self._held[0] == config.baked:
@@ -239,8 +240,8 @@ class Sweep:
         self._held, self._stored = (config.baked, read_scene(folder / "scene"), read_json(folder / "baked.json")), {}
         return self._held[1:]
 
-    def _bake(self, config: Config, folder: Path, progress: Progress) -> None:
-        field = self.survey(config.field).field  # so that what is compiled once is no part of the first bake
+    def _bake(self, config: Configuration, folder: Path, progress: Progress) -> None:
+        field = self.probe(config.field).field  # the probe compiles what the first bake would
         stages: list[dict[str, float]] = []
         with watched() as peak:
             for turn in range(self.subject.repeats):
@@ -248,15 +249,15 @@ class Sweep:
                 snerg, _ = bake_field(field, self._box(field), config.bake, None, part)
                 stages.append(snerg.about["bake"]["seconds"])
         seconds = {name: round(statistics.median(lap[name] for lap in stages), 3) for name in stages[0]}
-        told = {"seconds": {"bake": round(sum(seconds.values()), 3), **seconds}, "samples": snerg.about["bake"]["samples"]}
-        told["peak_megabytes"] = None if peak.most is None else round(peak.most / 1e6)
-        told["kept_voxels"] = snerg.about["bake"]["voxels"]
+        report = {"seconds": {"bake": round(sum(seconds.values()), 3), **seconds}, "samples": snerg.about["bake"]["samples"]}
+        report["peak_megabytes"] = None if peak.most is None else round(peak.most / 1e6)
+        report["kept_voxels"] = snerg.about["bake"]["voxels"]
         folder.mkdir(parents=True, exist_ok=True)
         write_scene(snerg, folder / "scene")
-        write_bytes(folder / "baked.json", json_bytes(told))
+        write_bytes(folder / "baked.json", json_bytes(report))
 
-    def _shown(self, config: Config, snerg: Scene) -> tuple[Scene, dict[str, float]]:
-        """The scene as its files give it back, {"megabytes", "write", "read"}; what is read is the same where nothing is lost."""
+    def _stored_scene(self, config: Configuration, snerg: Scene) -> tuple[Scene, dict[str, float]]:
+        """The scene as it is read from its files, and {"megabytes", "write" and "read" in seconds}."""
         key = (config.baked, config.refine, str(config.codec.to_json()))
         if key in self._stored:
             return self._stored[key]
@@ -265,15 +266,15 @@ class Sweep:
         write_scene(snerg, folder, codec=config.codec if snerg.quantised else PNG)
         written = time.perf_counter()
         shown = read_scene(folder)
-        told = {"write": round(written - began, 3), "read": round(time.perf_counter() - written, 3)}
-        told["megabytes"] = round(folder_bytes(folder) / 1e6, 3)
-        self._stored = {key: (shown, told)}  # one at a time: they are large
-        return shown, told
+        report = {"write": round(written - began, 3), "read": round(time.perf_counter() - written, 3)}
+        report["megabytes"] = round(folder_bytes(folder) / 1e6, 3)
+        self._stored = {key: (shown, report)}  # the last one alone, because they are large
+        return shown, report
 
-    def _work(self, config: Config) -> Path:
+    def _work(self, config: Configuration) -> Path:
         return self.out / "work" / config.baked
 
-    def _baked_already(self, config: Config) -> bool:
+    def _baked_already(self, config: Configuration) -> bool:
         return (self._work(config) / "baked.json").is_file()
 
 
@@ -283,24 +284,24 @@ def field_key(name: str) -> str:
 
 
 def _read_refined(path: Path) -> tuple[ViewNetwork, float]:
-    """A refined network and the seconds that it took, as an earlier run left them. Raises SnergError where the file is damaged."""
+    """A fine-tuned network and the seconds that it took, from an earlier run. Raises SnergError where the file is damaged."""
     with reading(path, "delete it to have it made again"):
         kept = read_arrays(path, 2**20)
         arrays = [numbers(kept[name], name, shape, MAX_WEIGHT) for name, shape in zip(ViewNetwork._fields, SHAPES, strict=True)]
         return ViewNetwork(*(array.astype(np.float32) for array in arrays)), float(kept["seconds"])
 
 
-def read_row(path: Path) -> Row:
-    """A row of an earlier run. Raises SnergError when it is none."""
+def read_row(path: Path) -> StudyRow:
+    """A row of an earlier run. Raises SnergError when the file is not one."""
     row = read_json(path)
     if not (isinstance(row, dict) and {"key", "config", "psnr", "ms", "megabytes"} <= row.keys() and row["key"] == path.stem):
-        raise SnergError(f"{path} is no row of a study; delete it to have it measured again.")
+        raise SnergError(f"{path} is not a row of a study; delete it to have it measured again.")
     with reading(path, "delete it to have it measured again"):
         return _checked_row(row)
 
 
-def _checked_row(row: Row) -> Row:
-    """Raises ValueError, or anything else, on a row that the report cannot be made of."""
+def _checked_row(row: StudyRow) -> StudyRow:
+    """The row. Raises ValueError, KeyError or TypeError on a row without what the report needs."""
     for name in ("psnr", "ms", "megabytes"):
         number(row[name], name)
     for name in ("ssim", "trained_seconds", "peak_megabytes"):
@@ -310,13 +311,13 @@ def _checked_row(row: Row) -> Row:
         for part, value in record(row.get(name, {}), name).items():
             number(value, part)
     if not isinstance(row.get("psnr_of_views", []), list):
-        raise ValueError("psnr_of_views is no list")
+        raise ValueError("psnr_of_views is not a list")
     for value in row.get("psnr_of_views", []):
         number(value, "psnr_of_views")
     if row["config"] is not None:
         config = record(row["config"], "config")
         if not isinstance(config["refine"], bool) or not isinstance(config["page"], bool):
-            raise ValueError("refine and page are neither yes nor no")
+            raise ValueError("refine or page is not a boolean")
         text(config["field"], "field")
-        Config.from_json(config)
+        Configuration.from_json(config)
     return row

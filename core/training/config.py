@@ -15,78 +15,56 @@ LONG = 480.0  # seconds of training
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """How to train. Where a default comes from is said behind it; the presets change what their sources change.
+    """How to train: the default, and behind each field what it is and where its default is from.
 
-    family: the network. ("ours": measured to train best in minutes on two cores.)
-    view_dependence: one of networks.VIEWS, or 'auto': 'deferred' (section 4.2) or 'diffuse', whichever the images call for.
-    ndc: whether a field lives in the device coordinates of its cameras (NeRF, appendix C), transparency: whether the alpha of images
-        bounds what can be where and is learned, backdrop: whether a plain one in opaque images does the former: 'on', 'off' or
-        'auto', as the images call for.
-    sampler: 'packed', samples at equal distances where something may be (ours), or 'hierarchical', coarse and fine networks
-        with samples drawn where the coarse one found something (NeRF, section 5.2).
-    hierarchy: of the hierarchical sampler, whether there is a fine network: 'on', 'off' (the evenly spaced samples alone, in one
-        network) or 'auto', as the way of the rays calls for.
-
-    Packed: samples in one step, 32768 (ours: XLA's temporaries stay under 32 MB); spacing, the final distance between them on
-        [-1, 1], 2 / 256 (ours: the voxels of a small bake); training starts with 8 times that.
-    Hierarchical: rays in one step, 8192 (section 6, synthetic scenes; 16384 for real ones); coarse, fine: samples a ray,
-        192 and 384 (section 6); distances between the coarse ones, 'linear' (NeRF), or 'disparity', linear in 1 / distance
-        (supplement C.2, real 360 degree scenes), or 'auto'; rays_at_once: of a step's rays, how many are in memory together,
-        512 (ours: the rest waits its turn, the sum is the same); opaque: the last interval of a ray reaches to infinity, as
-        JAXNeRF's does, False (it makes any haze at the far end of the scene a wall).
-
-    background: what stands behind transparent pixels: 'white' (NeRF, synthetic scenes), 'black', 'random', a new colour each ray,
-        or '#rrggbb'.
-    density_noise: standard deviation of noise on the density before its activation, 0 (NeRF, appendix A: 1 for real scenes).
-    sparsity: weight of the Cauchy loss (eq. 8; c = 1/2), averaged over samples as the reference does, 1e-5 (ours: the packed
-        samples are those of occupied cells alone; section 4.3: 1e-4, on samples of equal spacing). alpha: weight of the squared
-        error of alpha, for images with alpha, 0.1 (ours; the paper has none). hardness: weight of `losses.softness`, summed over a ray,
-        5e-4 (ours; packed samples alone): light ends sooner, which bakes to fewer voxels and marches with fewer samples (Lego: a third
-        fewer, and better; 1e-3: half, and worse).
-    rate, final_rate: of Adam, falling log-linearly, 2e-2 to 3e-3 (ours; section 6: 2e-3 to 2e-5). network_rate: factor on the
-        networks beside a hash table, 1 (ours). view_rate: factor on the view-dependence network, 0.3 (ours). view_degrees:
-        frequencies of the direction that it sees, 2 (ours; the paper has 4, with which, or at the full rate, a few minutes learn
-        by heart what mirrors show the training cameras: other views of one were 1 dB worse). beta_2: 0.99 (ours; JAXNeRF has
-        Adam's 0.999). warm_up: steps in which the rate rises from a tenth of itself, 64 (ours; section 6: 2500, from 2e-4).
-        average: the last share of the training over which the field is the mean of its parameters, 0.1 (ours: +0.05 dB on Lego after
-        five minutes, +0.13 after two, +0.15 where images are few and the training ends by learning their noise; the paper has none).
-        clip_value, clip_norm: gradients are cut off at the one and then scaled to the other, None (ours; section 6: 0.01 each).
-    seconds, steps: how long to train, 300 seconds; the schedule spans it (section 6: 250000 steps). seed: of everything random.
+    'Ours' is measured on Lego with a few minutes of training on two cores. Sections and supplements are those of the SNeRG paper unless
+    another is named; the presets change what their sources change.
     """
 
-    family: ModelConfig = HashModelConfig()
-    view_dependence: str = "auto"
-    ndc: str = "auto"
-    transparency: str = "auto"
-    backdrop: str = "auto"
-    sampler: str = "packed"
-    hierarchy: str = "auto"
-    samples: int = 32768
-    spacing: float = 2 / 256
-    rays: int = 8192
-    coarse: int = 192
-    fine: int = 384
-    distances: str = "auto"
-    rays_at_once: int = 512
-    opaque: bool = False
-    background: str = "white"
-    density_noise: float = 0.0
-    sparsity: float = 1e-5
-    alpha: float = 0.1
-    hardness: float = 5e-4
-    rate: float = 2e-2
-    final_rate: float = 3e-3
-    network_rate: float = 1.0
-    view_rate: float = 0.3
-    view_degrees: int = 2
-    beta_2: float = 0.99
-    warm_up: int = 64
-    average: float = 0.1
-    clip_value: float | None = None
-    clip_norm: float | None = None
-    seconds: float | None = 300.0
-    steps: int | None = None
-    seed: int = 0
+    # The network.
+    family: ModelConfig = HashModelConfig()  # its model: a hash grid (ours: learns most in minutes) or NeRF's MLP
+    view_dependence: str = "auto"  # one of nerf.model.VIEWS, or 'auto': 'deferred' (section 4.2) or 'diffuse', as the images call for
+
+    # What the images decide where it is 'auto'; 'on' or 'off' overrides.
+    ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
+    transparency: str = "auto"  # whether the images' alpha is trained on and carves the visual hull
+    backdrop: str = "auto"  # whether a plain backdrop in opaque images carves the visual hull
+
+    # Sampling.
+    sampler: str = "packed"  # 'packed': equally spaced samples of occupied cells (ours); 'hierarchical' (NeRF, section 5.2)
+    hierarchy: str = "auto"  # hierarchical: 'on': a coarse and a fine network; 'off': one; 'auto': as long as rays need two
+    samples: int = 32768  # packed: samples of a step (ours: XLA's temporaries stay under 32 MB)
+    spacing: float = 2 / 256  # packed: final distance of samples on [-1, 1] (ours: voxels of a small bake); it begins 8 times as large
+    rays: int = 8192  # hierarchical: rays of a step (section 6, synthetic scenes; 16384 for real ones)
+    coarse: int = 192  # hierarchical: evenly spaced samples of a ray (section 6)
+    fine: int = 384  # hierarchical: samples of a ray that are drawn from the coarse weights (section 6)
+    distances: str = "auto"  # coarse samples: 'linear' (NeRF), 'disparity': linear in 1 / distance (supplement C.2), or 'auto'
+    rays_at_once: int = 512  # hierarchical: rays in memory together (ours); the sum over a step's rays is the same
+    opaque: bool = False  # hierarchical: the last interval is infinite, as in JAXNeRF; off, because it turns far haze into a wall
+
+    # Losses.
+    background: str = "white"  # behind transparent pixels: 'white' (NeRF), 'black', 'random' (a colour for each ray) or '#rrggbb'
+    density_noise: float = 0.0  # standard deviation of noise on the density before its activation (NeRF, appendix A: 1, real scenes)
+    sparsity: float = 1e-5  # weight of the Cauchy loss, eq. 8 (ours: the samples are of occupied cells; section 4.3: 1e-4, of all)
+    alpha: float = 0.1  # weight of the squared error of alpha, for images that have it (ours; the paper has none)
+    hardness: float = 5e-4  # packed: weight of the opacity regulariser, `losses.softness` (ours: a third fewer voxels; 1e-3 is worse)
+
+    # Optimizer.
+    rate: float = 2e-2  # Adam's learning rate at the start (ours; section 6: 2e-3)
+    final_rate: float = 3e-3  # and at the end; log-linear between them (ours; section 6: 2e-5)
+    network_rate: float = 1.0  # factor on the rate of the networks beside a hash table (ours)
+    view_rate: float = 0.3  # factor on the rate of the view-dependence network (ours: at 1 it overfits mirrors in minutes)
+    view_degrees: int = 2  # frequencies of the direction's encoding (ours; section 4.2: 4, which overfits as the full rate does)
+    beta_2: float = 0.99  # Adam's decay of the second moment (ours; JAXNeRF: 0.999)
+    warm_up: int = 64  # steps in which the rate rises from a tenth of itself (ours; section 6: 2500)
+    average: float = 0.1  # last share of the training over which parameters are averaged (ours: +0.05 dB after five minutes)
+    clip_value: float | None = None  # bound on each value of the gradient (ours: none; section 6: 0.01)
+    clip_norm: float | None = None  # bound on the gradient's norm, after clip_value (ours: none; section 6: 0.01)
+
+    # Length.
+    seconds: float | None = 300.0  # to train for; the learning rate's schedule spans it
+    steps: int | None = None  # to train for, in place of seconds (section 6: 250000)
+    seed: int = 0  # of all random numbers
 
     def __post_init__(self) -> None:
         one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))

@@ -178,7 +178,7 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[An
 def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], ndc: bool) -> Decision:
     """Whether samples at equal distances in 1 / distance serve better than in distance.
 
-    origins, directions, near: rays in field coordinates. setting: 'auto', 'linear' or 'disparity'.
+    origins, directions [N, 3] and near [N]: rays in field coordinates. setting: 'auto', 'linear' or 'disparity'.
     """
     override = {"linear": "off", "disparity": "on"}.get(setting, "auto")
     if ndc:
@@ -199,7 +199,7 @@ def sampling(
     """Whether a second network must look where the first one found something.
 
     Packed samples stand at the final spacing from each other already, and nowhere that nothing is. Evenly spaced ones do without
-    where there are enough of them for the final spacing. origins, directions, near: rays in field coordinates.
+    where there are enough of them for the final spacing. origins, directions [N, 3] and near [N]: rays in field coordinates.
     """
     if settings.sampler == "packed":
         filled = share_filled(domain, alive, origins, directions, near)
@@ -213,7 +213,10 @@ def sampling(
 
 
 def share_filled(domain: Domain, alive: NDArray[Any], origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any]) -> float:
-    """Share of the way of rays (field coordinates) through the domain that lies in cells which may hold something."""
+    """The share of the rays' length in the domain that lies in occupied cells, in [0, 1].
+
+    alive: bool [CELLS^3]; origins, directions [N, 3] and near [N]: rays in field coordinates.
+    """
     step = 4 / CELLS
     enter, leave = clip_rays(domain, origins, directions, near)
     way = np.maximum(leave - enter, 0).sum() / step

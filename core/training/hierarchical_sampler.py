@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,9 @@ from ..nerf.shading import ray_colour, sample_values, unit
 from ..nerf.volume_rendering import MAX_OPTICAL_DEPTH, composite_rows, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over
-from .occupancy_sampler import Batch
 from .ray_dataset import RayDataset
-
-if TYPE_CHECKING:
-    from .validation import Rays
+from .sampler import Batch
+from .validation import ValidationRays
 
 UPDATE_CELLS = 2**16  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 256  # steps
@@ -32,7 +30,7 @@ PADDING = 1e-5  # of the fine samples are spread evenly over a ray
 
 
 class HierarchicalSampler:
-    """Draws rays; the loss samples them. See train.py for what a scheme is.
+    """Draws rays; the loss samples them. It implements `sampler.Sampler`.
 
     The occupancy grid takes no part in sampling: it says where the trained field holds something.
     """
@@ -46,8 +44,8 @@ class HierarchicalSampler:
         self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[-1].colour)
         self._density = jax.jit(lambda params, x: field_outputs(jnp, family, params, field_inputs(jnp, family, x))[0])
 
-    def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
-        """Now and then ask the field where something is."""
+    def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
+        """Every UPDATE_EVERY steps, update the occupancy grid from the field's density."""
         if step % UPDATE_EVERY == 0:
             self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
             self.occupied = self._occupied()
@@ -71,8 +69,8 @@ class HierarchicalSampler:
         coarse, fine = self.settings.coarse, 0 if self.settings.hierarchy == "off" else self.settings.coarse + self.settings.fine
         return Batch(arrays, rays * (coarse + fine), rays)
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
-        """What the field shows along rays, [R, 3] float32 over their background; the same rays always with the same samples."""
+    def colours(self, params: Any, rays: ValidationRays, fraction: float) -> NDArray[Any]:
+        """Colours [R, 3] float32 of rays over their background; the same rays always get the same samples."""
         arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
         count, some = len(rays.near), self.settings.rays_at_once
         arrays |= {"seed": np.arange(count, dtype=np.uint32), "background": rays.background}
@@ -103,11 +101,11 @@ class HierarchicalSampler:
         return rays_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that `restore` needs beside the parameters."""
+        """What `restore` reads, named arrays of any shape."""
         return {"most": self.occupancy.most}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Undo `state`."""
+        """Continue from the named arrays of any shape that `state` returned. Raises ValueError or KeyError on another sampler's."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self._occupied()
 
@@ -117,7 +115,7 @@ class HierarchicalSampler:
 
 
 def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Squared error of coarse and fine colours (eq. 3), sparsity (eq. 8) and alpha; told is "error", the fine squared error alone.
+    """Squared error of coarse and fine colours (eq. 3), sparsity (eq. 8) and alpha. aux: "error", the fine squared error alone.
 
     Some rays at a time: the rest waits, and what the backward pass needs of them is computed again, so that memory does not
     grow with the batch. All are sums over rays, divided by the number of rays in the whole batch.
@@ -133,7 +131,8 @@ def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict
     # Without jax.checkpoint the scan would keep what all of its rays computed.
     some = jax.checkpoint(lambda params, part: loss(params, {**part, **whole}))
     totals = jax.lax.map(lambda part: some(params, part), stacked)
-    return jax.tree.map(lambda a: a.sum(axis=0), totals)
+    summed: tuple[Any, dict[str, Any]] = jax.tree.map(lambda a: a.sum(axis=0), totals)
+    return summed
 
 
 def _part_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

@@ -55,3 +55,8 @@ def over(target: Any, background: Any = 1.0) -> tuple[Any, Any]:
     """Images' straight-alpha pixels [N, 4] in [0, 1] over a background [N, 3] (1: white): colour [N, 3] and alpha [N]."""
     alpha = target[:, 3:]
     return target[:, :3] * alpha + (1 - alpha) * background, alpha[:, 0]
+
+
+def mse_to_psnr(error: float) -> float:
+    """PSNR in dB of a mean squared error of colours in [0, 1]; 100 dB at most, so that an error of 0 stays finite (hard case 30)."""
+    return -10 * math.log10(max(error, 1e-10))

@@ -22,10 +22,11 @@ from ..nerf.volume_rendering import composite, depth_before, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over, softness
 from .ray_dataset import RayDataset
-from .termination_depth import DARK, LEFT, RayEnds
-from .validation import Rays, packed_colours
+from .sampler import Batch
+from .termination_depth import DARK, LEFT, TerminationDepths
+from .validation import ValidationRays, packed_colours
 
-MARGIN = 2  # samples that a ray takes past the end of its tile
+MARGIN = 2  # samples that a ray takes past the termination depth of its tile
 UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may be given up
@@ -34,33 +35,23 @@ STEPS_A_MINUTE = 1200  # of a training that has steps and no time, about
 
 
 @dataclass(frozen=True, eq=False)
-class Batch:
-    """What the loss of one step needs, arrays always of the same shapes; and how many samples and rays are real."""
+class DrawnRays:
+    """What `learn` needs of the last batch: R rays drawn, N samples."""
 
-    arrays: dict[str, Any]
-    samples: int
-    rays: int
-
-
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """The rays of a batch: tile [rays drawn], blind [rays drawn] bool, cut before their first sample, and of each of the
-    batch's samples the ray [N] and the distance along it [N]."""
-
-    tile: NDArray[Any]
-    blind: NDArray[Any]
-    ray: NDArray[Any]
-    distance: NDArray[Any]
+    tile: NDArray[Any]  # [R] tiles of the rays
+    skipped: NDArray[Any]  # bool [R], cut by the termination depth before their first sample
+    ray: NDArray[Any]  # [N] the samples' rays
+    distance: NDArray[Any]  # [N] the samples' distances along them
 
 
 class OccupancySampler:
-    """Draws rays, packs samples of what may hold something, and learns where that is."""
+    """Draws rays and packs the samples in occupied cells; updates the occupancy grid and the termination depths from each step."""
 
     def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator) -> None:
         self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = self.occupancy.occupied
-        self.ends = RayEnds(pool)
+        self.termination = TerminationDepths(pool)
         self.coarse_share = coarse_share(settings)
         self.most_rays = max(settings.samples // 4, 64)
         self.samples_per_ray = 32.0
@@ -71,10 +62,10 @@ class OccupancySampler:
         """Distance between samples: coarse first, so that a step sees many rays while the shape is still rough."""
         return self.settings.spacing * next(factor for until, factor in SPACINGS if fraction < until * self.coarse_share)
 
-    def learn(self, params: Any, step: int, told: dict[str, Any]) -> None:
-        """Learn from a step where its rays ended; now and then ask the field where something is, and give up cells with an
-        opacity under 0.01 over one final interval."""
-        self._learn_ends(told)
+    def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
+        """Update the termination depths; every UPDATE_EVERY steps, the occupancy grid too: cells with an opacity under 0.01 over one
+        final interval become empty after WARM_UP steps."""
+        self._learn_termination(aux)
         if step % UPDATE_EVERY and step not in (16, 32):
             return
         self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
@@ -87,7 +78,7 @@ class OccupancySampler:
         field = params["field"]
         return in_chunks(lambda part: self._outputs(field, self._inputs(part))[:1], x, self.settings.samples)[0]
 
-    def colours(self, params: Any, rays: Rays, fraction: float) -> NDArray[Any]:
+    def colours(self, params: Any, rays: ValidationRays, fraction: float) -> NDArray[Any]:
         """Colours [R, 3] of rays over their background, at the present spacing."""
         field = params["field"]
 
@@ -97,13 +88,13 @@ class OccupancySampler:
         return packed_colours(self.settings, self.domain, self.occupied, self.spacing(fraction), evaluate, params, rays)
 
     def batch(self, params: Any, fraction: float) -> Batch:
-        """A step's rays and packed samples. Rays are whole: from where they enter to where their tile says that light ends."""
+        """A step's rays and packed samples. Rays are whole: from where they enter the domain to their tile's termination depth."""
         size, most, length = self.settings.samples, self.most_rays, self.spacing(fraction)
         draw = int(min(size / self.samples_per_ray, most - 1))
         index = self.pool.draw(draw, self.rng)
         origin, direction, near, far, looking = self.pool.rays(index)
-        tile = self.ends.tile(index)
-        until = self.ends.reach[tile] + MARGIN * length
+        tile = self.termination.tile(index)
+        until = self.termination.depths[tile] + MARGIN * length
         got = pack_samples(self.domain, self.occupied, origin, direction, length, self.rng.random(draw), near, far, until)
         self.samples_per_ray = 0.7 * self.samples_per_ray + 0.3 * max(len(got.ray), 1) / draw
         count = len(got.ray) if len(got.ray) <= size else int(np.searchsorted(got.ray, got.ray[size]))
@@ -112,8 +103,8 @@ class OccupancySampler:
         ray = filled(size, got.ray[:count], most - 1)
         used = np.zeros(most, bool)
         used[ray[:count]] = True
-        blind = got.cut & (np.bincount(got.ray, minlength=draw) == 0)
-        self.drawn = Drawn(tile, blind, got.ray[:count], got.distance[:count])
+        skipped = got.cut & (np.bincount(got.ray, minlength=draw) == 0)
+        self.drawn = DrawnRays(tile, skipped, got.ray[:count], got.distance[:count])
         arrays = {
             "inputs": self._inputs(filled(size, got.points[:count])),
             "ray": ray,
@@ -132,38 +123,39 @@ class OccupancySampler:
             arrays["noise"] = self.rng.standard_normal(size, np.float32) * np.float32(self.settings.density_noise)
         return Batch(arrays, count, int(used.sum()))
 
-    def _learn_ends(self, told: dict[str, Any]) -> None:
-        """Tell the tiles of the last batch where its rays used up their light; a ray that saw nothing because it was cut wants
-        to look all the way."""
-        ray, lit, depth = self.drawn.ray, np.asarray(told["lit"]), np.asarray(told["depth"])
+    def _learn_termination(self, aux: dict[str, Any]) -> None:
+        """Update the termination depths of the last batch's tiles; a ray that had no sample because it was cut resets its tile to
+        infinity."""
+        ray, lit, depth = self.drawn.ray, np.asarray(aux["lit_samples"]), np.asarray(aux["depth"])
         first = np.flatnonzero(np.diff(ray, prepend=-1))
         rays = ray[first]
         last = first + lit[rays].astype(np.int64).clip(1) - 1
         end = np.where(depth[rays] > -np.log(DARK), self.drawn.distance[last], np.float32(np.inf))
-        blind = self.drawn.tile[self.drawn.blind]
-        self.ends.learn(np.concatenate([self.drawn.tile[rays], blind]), np.concatenate([end, np.full(len(blind), np.inf, np.float32)]))
+        skipped = self.drawn.tile[self.drawn.skipped]
+        never = np.full(len(skipped), np.inf, np.float32)
+        self.termination.learn(np.concatenate([self.drawn.tile[rays], skipped]), np.concatenate([end, never]))
 
     def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """See `batch_loss`."""
         return batch_loss(self.settings, self.pool.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that `restore` needs beside the parameters."""
-        return {"most": self.occupancy.most, "reach": self.ends.reach, "samples_per_ray": np.array(self.samples_per_ray)}
+        """What `restore` reads, named arrays of any shape."""
+        return {"most": self.occupancy.most, "reach": self.termination.depths, "samples_per_ray": np.array(self.samples_per_ray)}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Undo `state`."""
+        """Continue from the named arrays of any shape that `state` returned. Raises ValueError or KeyError on another sampler's."""
         self.occupancy = Occupancy(estimates(state["most"], "most", (CELLS**3,)))
         self.occupied = self.occupancy.occupied
-        self.ends.reach = estimates(state["reach"], "reach", self.ends.reach.shape)
+        self.termination.depths = estimates(state["reach"], "reach", self.termination.depths.shape)
         self.samples_per_ray = positive(float(state["samples_per_ray"]), "samples_per_ray")
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """Squared error (eq. 3), sparsity (eq. 8), alpha, and how soft surfaces are.
+    """(loss, aux): squared error (eq. 3), sparsity (eq. 8), squared error of alpha, opacity regulariser (`losses.softness`).
 
-    Also told, all sums over samples: "error", the squared error alone; "lit" [R], how many of a ray's samples light still
-    reaches; "depth" [R], the optical depth of a ray.
+    aux: "error", the squared error alone; "lit_samples" [R], how many samples of a ray have a transmittance above DARK before
+    them; "depth" [R], the optical depth of a ray.
     """
     view, directions, ray = settings.view_dependence, batch["directions"], batch["ray"]
     raw, values = raw_outputs(jnp, settings.family, params["field"], batch["inputs"])
@@ -183,7 +175,7 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
         loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / batch["rays"]
     lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))
     per_ray = jnp.zeros((len(directions), 2)).at[ray].add(jnp.stack([lit, depth], axis=-1), indices_are_sorted=True)
-    return loss, {"error": error, "lit": per_ray[:, 0], "depth": per_ray[:, 1]}
+    return loss, {"error": error, "lit_samples": per_ray[:, 0], "depth": per_ray[:, 1]}
 
 
 def coarse_share(settings: TrainSettings) -> float:

@@ -1,4 +1,8 @@
-"""Adam with what keeps it stable: a schedule, vertices that rest, and steps that are skipped when they are not finite (JAX)."""
+"""Adam (Kingma and Ba 2015) with JAXNeRF's learning rate schedule and gradient clipping (SNeRG, section 6). Needs JAX.
+
+Two additions: entries of the hash table without a gradient are not updated (as in Instant NGP, Mueller et al. 2022, section 4), and a
+step that is not finite changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -13,22 +17,26 @@ from ..nerf.model import with_frequencies
 from .config import TrainSettings
 
 Loss = Callable[[Any, dict[str, Any]], tuple[Any, dict[str, Any]]]
-"""(loss, what else is told: the squared "error", and what the sampler learns from)."""
-NOTHING = 1e-9  # a gradient this small is none; those that teach are 1e-7 and more
+"""(parameters, batch) to (loss, aux); see `sampler.Sampler.loss`."""
+NOTHING = 1e-9  # Adam's epsilon, and the gradient up to which a table entry counts as untouched; useful ones are 1e-7 and more
 BETA_1 = 0.9
-LARGEST = 1e15  # of a gradient whose norm is taken: the squares of a billion of them still fit
+LARGEST = 1e15  # bound on a gradient's values before its norm: the sum of a billion such squares fits in float32
 
 
 def learning_rate(settings: TrainSettings, step: int, fraction: float) -> float:
-    """Log-linear decay over `fraction` of the training; in the first steps it rises from a tenth as JAXNeRF's does (section 6)."""
+    """The learning rate of step `step` (from 0), with `fraction` in [0, 1] of the training done.
+
+    It decays log-linearly from settings.rate to settings.final_rate, and rises from a tenth in the first settings.warm_up steps, as
+    JAXNeRF's `learning_rate_decay` (section 6).
+    """
     warm = 0.1 + 0.9 * math.sin(math.pi / 2 * min(step / max(settings.warm_up, 1), 1.0))
     return warm * math.exp(math.log(settings.rate) + fraction * (math.log(settings.final_rate) - math.log(settings.rate)))
 
 
 def clipped(settings: TrainSettings, gradient: Any) -> Any:
-    """A gradient cut off by value and then scaled to a norm over all parameters, where the settings say so (section 6).
+    """A gradient clipped by value and then by its norm over all parameters, where the settings say so (section 6).
 
-    Nothing above 1e15 goes into the norm, so that no square overflows (hard case 26).
+    Values are bounded by LARGEST before the norm is taken, so that no square overflows (hard case 26).
     """
     if settings.clip_value is None and settings.clip_norm is None:
         return gradient
@@ -42,30 +50,30 @@ def clipped(settings: TrainSettings, gradient: Any) -> Any:
 
 
 def zero_moments(params: Any) -> tuple[Any, Any]:
-    """Adam's two moments, to start with."""
+    """Adam's first and second moment before the first step: zeros, in trees shaped as the parameters."""
     return jax.tree.map(jnp.zeros_like, params), jax.tree.map(jnp.zeros_like, params)
 
 
 def train_step(
     settings: TrainSettings, loss_of: Loss, params: Any, moments: Any, batch: dict[str, Any], rate: Any, step: Any
 ) -> tuple[Any, Any, Any]:
-    """One step of Adam (Kingma and Ba 2015). Returns (params, moments, (loss, what the loss tells beside, whether finite)).
+    """One step of Adam (Kingma and Ba 2015, algorithm 1). Returns (params, moments, (loss, aux, whether finite)).
 
-    A step whose loss or gradient is not finite changes nothing (hard case 26): a NaN anywhere in the table's gradient
-    comes through the other arrays, so only those are looked at.
+    step: counted from 1, for the bias correction. A step whose loss or gradient is not finite leaves parameters and moments as they
+    are (hard case 26). The hash table's gradient is not checked: a NaN in it comes from the other arrays' gradients, which are.
     """
-    (loss, told), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
-    looked = [g for path, g in jax.tree_util.tree_leaves_with_path(gradient) if not _is_table(path)]
-    finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in looked]).all()
+    (loss, aux), gradient = jax.value_and_grad(loss_of, has_aux=True)(params, batch)
+    checked = [g for path, g in jax.tree_util.tree_leaves_with_path(gradient) if not _is_table(path)]
+    finite = jnp.isfinite(loss) & jnp.array([jnp.isfinite(g).all() for g in checked]).all()
     gradient = clipped(settings, with_frequencies(gradient, settings.view_degrees))
     b1, b2 = BETA_1, settings.beta_2
     unbias = jnp.sqrt(1 - b2 ** jnp.float32(step)) / (1 - b1 ** jnp.float32(step))
 
     def update(path: Any, p: Any, g: Any, m: Any, v: Any) -> tuple[Any, Any, Any]:
         table = _is_table(path)
-        # A vertex that no sample of this step touched rests: were its moments to decay, one sample in ten steps would
-        # move it ten times as far as a sample in each does. What hardly any light reaches counts as untouched, because
-        # Adam makes full steps even of gradients of 1e-14.
+        # A table entry that no sample of this step touched keeps its value and moments. If its moments decayed, an entry
+        # that is touched once in ten steps would move ten times as far as it should. An entry behind opaque samples counts as
+        # untouched, because Adam's step does not depend on the gradient's size: 1e-14 would move it by the full rate.
         changes = finite & (jnp.abs(g) > NOTHING) if table else finite
         m2, v2 = b1 * m + (1 - b1) * g, b2 * v + (1 - b2) * g * g
         factor = settings.view_rate if _is_view(path) else 1.0 if table else settings.network_rate
@@ -74,7 +82,7 @@ def train_step(
 
     changed = jax.tree_util.tree_map_with_path(update, params, gradient, *moments)
     p, m, v = jax.tree.transpose(jax.tree.structure(params), jax.tree.structure((0, 0, 0)), changed)
-    return p, (m, v), (loss, told, finite)
+    return p, (m, v), (loss, aux, finite)
 
 
 def _is_table(path: Any) -> bool:

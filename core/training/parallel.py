@@ -48,7 +48,7 @@ class Devices:
 
         def part_of(params: Any, parts: Any, whole: Any) -> Any:
             mine = jax.tree.map(lambda a: a[0], parts)
-            return jax.lax.psum(loss_of(params, {**mine, **whole}), "part")  # what it tells beside the loss are sums too
+            return jax.lax.psum(loss_of(params, {**mine, **whole}), "part")  # the aux values are sums too
 
         nothing, cut = PartitionSpec(), PartitionSpec("part")
         everywhere = jax.shard_map(part_of, mesh=self._mesh, in_specs=(nothing, cut, nothing), out_specs=nothing)
@@ -70,8 +70,8 @@ class Devices:
         """Process 0's clock, and whether any process is to stop, in all processes: one that left alone would leave the others waiting."""
         if self.processes == 1:
             return elapsed, stop
-        told = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
-        return float(told[0, 0]), bool(told[:, 1].any())
+        gathered = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
+        return float(gathered[0, 0]), bool(gathered[:, 1].any())
 
     def leave(self) -> None:
         """Part from the other processes, all of which must call this now: one that only ended would be an error to the others."""
@@ -80,7 +80,7 @@ class Devices:
 
     def _put(self, spec: PartitionSpec, array: Any) -> Any:
         array = np.asarray(array)
-        return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])  # type: ignore[arg-type]
+        return jax.make_array_from_callback(array.shape, NamedSharding(self._mesh, spec), lambda index: array[index])
 
 
 def longest_ray(settings: TrainSettings) -> int:

@@ -106,7 +106,7 @@ class RayDataset:
     def _draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
         if self.useful is None:
             return rng.integers(0, len(self.pixels), count)
-        return self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64)
+        return np.asarray(self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64))
 
     def _view(self, index: NDArray[Any]) -> NDArray[Any]:
         return np.searchsorted(self.ends, index, side="right")

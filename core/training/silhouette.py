@@ -1,4 +1,7 @@
-"""Images on a plain backdrop, without alpha: where the object ends is seen all the same."""
+"""Silhouettes of objects before a plain backdrop, for opaque images: the backdrop is found by flood fill from the image's border.
+
+The silhouettes carve the visual hull (Laurentini 1994). Flood fill is the standard algorithm, 4-connected.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,19 @@ from numpy.typing import NDArray
 
 from ..nerf.sampling import dilated
 
-EDGE = 2  # pixels round anything else that do not count as backdrop: edges are mixed, and narrow gaps may be highlights
+EDGE = 2  # pixels by which the object is dilated before the fill: its antialiased edge is no backdrop, nor is a gap of up to 4 pixels
 
 
 def border_share(image: NDArray[Any], colour: NDArray[Any]) -> float:
-    """Share of an image's outermost pixels, uint8 [H, W, 3], that have just the colour, uint8 [3]."""
+    """Share in [0, 1] of the border pixels of an image, uint8 [H, W, 3], that have exactly the colour, uint8 [3]."""
     edges = (image[0], image[-1], image[1:-1, 0], image[1:-1, -1])
     return float((np.concatenate(edges) == colour).all(axis=-1).mean())
 
 
 def silhouette(image: NDArray[Any], colour: NDArray[Any]) -> NDArray[Any]:
-    """bool [H, W]: what is not backdrop, which is all of just that colour that hangs together with the image's border.
+    """The silhouette of an image, bool [H, W]: all but the backdrop, which is the pixels of its colour connected to the image's border.
 
-    What has the backdrop's colour inside the object stays. image: uint8 [H, W, 3]; colour: uint8 [3].
+    Pixels of the backdrop's colour inside the object belong to the object. image: uint8 [H, W, 3]; colour: uint8 [3].
     """
     plain = ~dilated(~(image == colour).all(axis=-1), EDGE)
     seed = plain.copy()
@@ -30,22 +33,22 @@ def silhouette(image: NDArray[Any], colour: NDArray[Any]) -> NDArray[Any]:
 
 
 def spread(seed: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
-    """bool [H, W]: what can be reached from the seed, bool [H, W], along rows and columns of what is allowed, bool [H, W].
+    """Flood fill, 4-connected: the pixels, bool [H, W], reachable from `seed` through `allowed`, both bool [H, W].
 
-    A sweep fills whole runs of a row or column at once, so that a handful of sweeps is enough for most outlines.
+    A pass fills whole runs of rows and then of columns, so that a few passes are enough for most outlines.
     """
     reached, before = seed & allowed, -1
     while (now := int(reached.sum())) != before:
         before = now
         reached = _fill_runs(reached, allowed)
         reached = _fill_runs(reached.T, allowed.T).T
-    return reached
+    return np.asarray(reached)
 
 
 def _fill_runs(reached: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
-    """Runs of a row that are allowed, whole where any of their pixels is reached."""
+    """The runs of allowed pixels in rows, bool [H, W], of which at least one pixel is reached."""
     begins = np.diff(allowed, axis=1, prepend=~allowed[:, :1]) != 0
     run = np.cumsum(begins.reshape(-1)) - 1
     hit = np.zeros(int(run[-1]) + 1, bool)
     hit[run[reached.reshape(-1)]] = True
-    return hit[run].reshape(allowed.shape) & allowed
+    return np.asarray(hit[run].reshape(allowed.shape) & allowed)

@@ -1,4 +1,7 @@
-"""Where training rays end: past what uses up their light, samples cost as much as before it and teach nothing."""
+"""Early termination of training rays: samples past the termination depth cost time and have no gradient. Method of our own.
+
+A ray terminates where its transmittance (NeRF, eq. 3) falls below DARK.
+"""
 
 from __future__ import annotations
 
@@ -9,43 +12,43 @@ from numpy.typing import NDArray
 
 from .ray_dataset import RayDataset
 
-MOST_TILES = 2**20
-DARK = 1e-3  # a ray ends where less light than this is left
-LEFT = 1e-2  # a ray that was cut with more light than this left is not learned from
-EASE = 0.25  # how fast a tile's end comes closer
+MOST_TILES = 2**20  # bound on the memory: 4 MB of depths
+DARK = 1e-3  # transmittance below which a ray terminates
+LEFT = 1e-2  # a ray that was cut while its transmittance was above this is left out of the loss
+EASE = 0.25  # weight of a new, smaller depth in a tile's running mean
 
 
-class RayEnds:
-    """How far the rays of each small tile of pixels reach before their light is used up, as measured while training.
+class TerminationDepths:
+    """The termination depth of each small tile of pixels, as measured while training.
 
-    Guessing it from an occupancy grid makes training collapse: such guesses end a few rays in front of surfaces, what
-    shines through is made up for by more density there, and that feeds on itself. Here a step says where its rays really
-    ended. The tile keeps the farthest of them, coming closer only slowly; a ray that turns out to be cut with light left
-    sends its tile back to looking all the way, and is left out of that step's loss.
+    Estimating it from an occupancy grid makes training collapse: some rays are cut in front of their surface, training raises the
+    density before the cut to compensate, and the next estimate is even smaller. Here each step measures where its rays terminated. A tile
+    keeps the largest depth, and smaller ones lower it only slowly. A ray that was cut before it terminated resets its tile
+    to infinity, and is left out of that step's loss.
     """
 
     def __init__(self, pool: RayDataset) -> None:
-        """Tiles as small as MOST_TILES of them allow, each looking all the way."""
+        """Square tiles, as small as MOST_TILES allows; every depth is infinite at first."""
         self.starts, self.ends, self.widths = pool.starts, pool.ends, pool.widths
         heights = (pool.ends - pool.starts) // pool.widths
         self.side = max(1, int(np.ceil(np.sqrt(len(pool.pixels) / MOST_TILES))))
         self.across = -(-self.widths // self.side)
         tiles = self.across * -(-heights // self.side)
         self.first = np.cumsum(tiles) - tiles
-        self.reach = np.full(int(tiles.sum()), np.inf, np.float32)
+        self.depths = np.full(int(tiles.sum()), np.inf, np.float32)
 
     def tile(self, index: NDArray[Any]) -> NDArray[Any]:
-        """[N] the tiles of pixels by number."""
+        """The tiles [N] of pixels by number [N]."""
         view = np.searchsorted(self.ends, index, side="right")
         row, column = np.divmod(index - self.starts[view], self.widths[view])
-        return self.first[view] + row // self.side * self.across[view] + column // self.side
+        return np.asarray(self.first[view] + row // self.side * self.across[view] + column // self.side)
 
     def learn(self, tile: NDArray[Any], end: NDArray[Any]) -> None:
-        """Rays of tiles [N] were seen to end at distances [N], infinite where light was left. Of several in one tile the
-        farthest counts."""
+        """Record that rays of tiles [N] terminated at distances [N], infinite where they did not. Of several rays of one tile the
+        largest distance counts."""
         order = np.argsort(end, kind="stable")
         tile, end = tile[order], end[order]
-        kept = self.reach[tile]
+        kept = self.depths[tile]
         known = np.isfinite(kept) & np.isfinite(end)
         closer = np.where(known, kept, 0) * np.float32(1 - EASE) + np.where(known, end, 0) * np.float32(EASE)
-        self.reach[tile] = np.where(known & (end < kept), closer, end)
+        self.depths[tile] = np.where(known & (end < kept), closer, end)

@@ -1,4 +1,7 @@
-"""How well a field that is being trained shows views that it never saw: a fixed set of their rays."""
+"""Validation while training: the error of a fixed set of rays of views that are not trained on.
+
+Packed samples are composited by volume rendering (NeRF, eq. 3; Max 1995).
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
 Evaluate = Callable[[NDArray[Any]], Sequence[NDArray[Any]]]
 
 
-class Rays:
-    """Rays of a pool, drawn once, with the colours that they ought to have over the background that the field is trained over."""
+class ValidationRays:
+    """Rays of a dataset, drawn once with the settings' seed, and their true colours over the background that the field is trained over."""
 
     def __init__(self, pool: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
         """views: [views] bool, those to draw from; all when None."""
@@ -39,11 +42,11 @@ class Rays:
 
     def errors(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
-        return ((colour - self.wanted) ** 2).mean(axis=-1)
+        return np.asarray(((colour - self.wanted) ** 2).mean(axis=-1))
 
 
 def packed_colours(
-    settings: TrainSettings, domain: Domain, occupied: NDArray[Any], spacing: float, evaluate: Evaluate, params: Any, rays: Rays
+    settings: TrainSettings, domain: Domain, occupied: NDArray[Any], spacing: float, evaluate: Evaluate, params: Any, rays: ValidationRays
 ) -> NDArray[Any]:
     """Colours [R, 3] of rays over their background, from packed samples.
 
@@ -56,7 +59,7 @@ def packed_colours(
     looking = rays.looking.astype(np.float32)
     values = sample_values(np, settings.view_dependence, settings.family, host, values, looking[got.ray])
     gathered, through, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(looking))
-    return ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background)
+    return np.asarray(ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background))
 
 
 def _host(tree: Any) -> Any:

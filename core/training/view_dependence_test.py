@@ -1,16 +1,16 @@
-"""Whether a scene calls for view dependence, measured while it trains (JAX).
+"""The view-dependence test: whether a scene needs a deferred field or a diffuse one, measured during training (needs JAX).
 
-Training begins with view dependence. After a while, rays of views that were set aside are compared with what they ought to
-show, once as they are, and once with what the view-dependence network adds averaged over the directions from which the training
-cameras see the same points: the best that a field without it, but otherwise the same, could show. Where that is as good, training
-goes on without. Comparing two short trainings instead tells little: the network needs long to find out what a highlight is, and
-a step at the full rate happens to do more to either side than what there is to measure.
+Training begins with a deferred field (section 4.2). After AT of the training, the error of rays of validation views is measured twice:
+with the network's residual as it is, and with the residual averaged over the directions from which the training cameras see the same
+point. The average is the best that a diffuse field of the same geometry can show. Where it is as good, training goes on
+with a diffuse field. Comparing two short trainings instead is unreliable: the network learns highlights slowly, and at the full learning
+rate single steps change the error by more than the difference to be measured. Method of our own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,24 +21,23 @@ from ..nerf.field import Field
 from ..nerf.render import integrate
 from ..nerf.shading import ray_colour
 from ..nerf.volume_rendering import mean_distance
+from .config import TrainSettings
 from .decisions import Decision
-from .validation import Rays
+from .ray_dataset import RayDataset
+from .validation import ValidationRays
 
-if TYPE_CHECKING:
-    from .trainer import Trainer
-
-AT = 0.3  # of the training: what view dependence there is shows by then
-LEAST = 100  # steps before that; after fewer nothing can be told
-SILENT = -100.0  # the network's last bias: a residual of 1e-13 with gradients of exactly 0
-VIEWS = 12  # from how many views on some can be set aside
-RAYS = 16384
-EYES = 24  # cameras, at most, from which points are looked at
-GAIN = 0.05  # dB that view dependence must bring, beyond twice the standard error
+AT = 0.3  # fraction of the training after which the test runs: the network has learned highlights by then
+LEAST = 100  # steps before the test; after fewer the field is too rough to measure, and stays deferred
+SILENT = -100.0  # the network's last bias where it is switched off: its residual is 1e-13 and its gradient exactly 0
+VIEWS = 12  # views from which on some are kept as validation views; fewer are all needed for training
+RAYS = 16384  # rays that the test measures
+EYES = 24  # bound on the cameras over which the residual is averaged
+GAIN = 0.05  # dB that view dependence must gain, in addition to twice the standard error
 EFFECT = "View dependence"
 
 
 def silenced(params: dict[str, Any]) -> dict[str, Any]:
-    """Parameters whose view-dependence networks add nothing, and learn nothing any more."""
+    """The parameters with the view-dependence networks switched off: their residual and their gradient are 0."""
     changed = dict(params)
     if "view" in params:
         *rest, last = params["view"]
@@ -49,7 +48,7 @@ def silenced(params: dict[str, Any]) -> dict[str, Any]:
 
 
 def set_aside(views: int) -> NDArray[Any]:
-    """bool [views]: 2 to 4 of them, spread evenly; none where there are few."""
+    """The validation views, bool [views]: 2 to 4 of them, spread evenly; none where there are fewer than VIEWS."""
     aside = np.zeros(views, bool)
     if views >= VIEWS:
         count = min(max(views // 12, 2), 4)
@@ -57,22 +56,20 @@ def set_aside(views: int) -> NDArray[Any]:
     return aside
 
 
-def run(trainer: Trainer) -> None:
-    """Decide, and let the trainer go on as decided."""
-    if trainer.step < LEAST:
-        trainer.decide(Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it."))
-        return
-    aside = trainer.aside
-    rays = Rays(trainer.pool, aside if aside.any() else None, RAYS, trainer.settings)
-    cameras = [camera for camera, out in zip(trainer.dataset.cameras, aside, strict=True) if not out]
-    decision = judged(*errors(trainer.field(), rays, cameras), int(aside.sum()))
-    if not trainer.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
-        trainer.params = trainer.devices.place(silenced(trainer.devices.local(trainer.params)))
-    trainer.decide(decision)
+def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any], settings: TrainSettings) -> Decision:
+    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short to tell.
+
+    step: steps done. field: as trained so far, deferred. validation_views: bool [views], not trained on so far.
+    """
+    if step < LEAST:
+        return Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it.")
+    tested = ValidationRays(rays, validation_views if validation_views.any() else None, RAYS, settings)
+    cameras = [camera for camera, left_out in zip(field.cameras, validation_views, strict=True) if not left_out]
+    return judged(*errors(field, tested, cameras), int(validation_views.sum()))
 
 
-def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Squared errors [R] of a deferred field's rays with view dependence averaged over where the cameras are, and as it is."""
+def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """(errors with the residual averaged over the cameras, errors with it as it is): squared errors [R] of a deferred field's rays."""
     gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
     along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
@@ -80,13 +77,13 @@ def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray
 
     def shown(looking: NDArray[Any]) -> NDArray[Any]:
         params = {"view": field.network}
-        return ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background)
+        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background))
 
     own = shown(rays.looking)
     total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
     for camera in cameras[:: -(-len(cameras) // EYES)]:
         looking = camera.toward(points)
-        sees = camera.shows(points) & ((looking * rays.looking).sum(axis=-1) > 0)  # from the other side there is another surface
+        sees = camera.shows(points) & ((looking * rays.looking).sum(axis=-1) > 0)  # not from behind: that is another surface
         total += np.where(sees[:, None], shown(looking), 0)
         count += sees
     averaged = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], own)
@@ -94,7 +91,10 @@ def errors(field: Field, rays: Rays, cameras: Sequence[Camera]) -> tuple[NDArray
 
 
 def judged(without: NDArray[Any], gained: NDArray[Any], views: int) -> Decision:
-    """From squared errors [R] of the same rays without and with view dependence."""
+    """The decision, from squared errors [R] of the same rays without and with view dependence.
+
+    views: how many validation views the rays are of; 0 where they are training rays.
+    """
     gain = 10 * np.log10(max(float(without.mean()), 1e-12) / max(float(gained.mean()), 1e-12))
     difference = without - gained
     error = float(difference.std() / np.sqrt(len(difference)))

@@ -38,7 +38,7 @@ class SNERG_PT_object(bpy.types.Panel):
         if context.scene.render.engine != "SNERG":
             layout.operator("snerg.composite", icon="NODE_COMPOSITING")
         if problem := problem_of(thing) or entry.problem:
-            draw_sentence(layout, problem, "ERROR", 56)
+            draw_sentence(layout, problem, "ERROR")
         elif entry.scene is None:
             layout.label(text="Reading the scene", icon="TIME")
         else:
@@ -46,6 +46,8 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
+            if not draw.fits(entry.scene):
+                draw_sentence(layout, "The viewport does not draw it: it needs more graphics memory than the preferences allow", "ERROR")
             draw_box(
                 layout,
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",

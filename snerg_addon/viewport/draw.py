@@ -11,10 +11,12 @@ import bpy
 import gpu
 import numpy as np
 
+from ...core.scene.scene import Scene
+from ..preferences import gpu_bytes
 from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
-from .gpu_scene import GpuScene, Target, march, quad
-from .loading import loaded, reading
+from .gpu_scene import GpuScene, Target, bytes_of, march, quad
+from .loading import in_use, loaded, reading
 from .view import Projection, even_scale, screen_rows, uniforms
 
 BUDGET = 0.03  # seconds of marching at a time
@@ -92,9 +94,9 @@ def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> None:
     matrix = np.array(thing.matrix_world, np.float64)
     if found.scene is None or problem_of(thing) or even_scale(matrix) is None or found.scene.ndc is not None:
         return
-    held = _scenes.get(id(found.scene))
+    held = _held(found.scene)
     if held is None:
-        held = _scenes[id(found.scene)] = GpuScene(found.scene)
+        return
     region, data = context.region, context.region_data
     projection = Projection.from_matrix(np.array(data.window_matrix))
     camera = np.linalg.inv(np.array(data.view_matrix, np.float64))
@@ -107,6 +109,23 @@ def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> None:
     work(held, seen, picture, span)
     gpu.state.viewport_set(*bound)
     show(picture, projection, float(seen[11, 0]))
+
+
+def _held(scene: Scene) -> GpuScene | None:
+    """A scene on the graphics card; None where the preferences leave no room for it, once scenes that nothing shows any more are let go."""
+    held = _scenes.get(id(scene))
+    if held is None:
+        for key in [key for key, other in _scenes.items() if not in_use(other.scene)]:
+            del _scenes[key]
+        if not fits(scene):
+            return None
+        held = _scenes[id(scene)] = GpuScene(scene)
+    return held
+
+
+def fits(scene: Scene) -> bool:
+    """Whether a scene is on the graphics card, or there is room for it by the preferences."""
+    return id(scene) in _scenes or memory() + bytes_of(scene) <= gpu_bytes()
 
 
 def work(held: GpuScene, seen: np.ndarray, picture: Picture, span: tuple[int, int]) -> None:

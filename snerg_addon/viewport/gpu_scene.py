@@ -5,7 +5,7 @@ from __future__ import annotations
 import gpu
 import numpy as np
 
-from ...core.rendering.acceleration import chebyshev
+from ...core.rendering.acceleration import chebyshev_distance
 from ...core.scene.blocks import CELL_VOXELS
 from ...core.scene.scene import Scene
 from . import shader
@@ -62,8 +62,14 @@ class GpuScene:
         found = np.stack([inside % nx, inside // nx % ny, inside // (nx * ny), page + 1], axis=-1).astype(np.float32)
         empty = blocks < 0
         found[empty] = 0
-        found[empty, 0] = chebyshev(~empty, 255)[empty]
+        found[empty, 0] = chebyshev_distance(~empty, 255)[empty]
         return np.ascontiguousarray(found.transpose(2, 1, 0, 3))
+
+
+def bytes_of(scene: Scene) -> int:
+    """Bytes of graphics memory that a scene takes, about: its cells, and a 256th of that for what can be skipped."""
+    channels = 4 if scene.network is None else 8
+    return len(scene.cells) * CELL_VOXELS**3 * channels + len(scene.cells) * COARSE_CELL**3 + 16 * scene.indirection.size
 
 
 def layout(cells: int, most_pages: int) -> tuple[int, tuple[int, int, int]]:

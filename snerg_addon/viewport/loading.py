@@ -54,6 +54,11 @@ def reading() -> bool:
     return any(entry.scene is None and not entry.problem for entry in _known.values())
 
 
+def in_use(scene: Scene) -> bool:
+    """Whether a folder's files are still those of this scene."""
+    return any(entry.scene is scene for entry in _known.values())
+
+
 def forget() -> None:
     """Let go of every scene."""
     _known.clear()

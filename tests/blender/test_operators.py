@@ -77,7 +77,7 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     scene.snerg.codec, scene.snerg.quality = "avif", 70
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
     for name in ("bake", "export_web"):  # every option is one that there is
-        assert parser().parse_args(started(monkeypatch, name)).verb == name.replace("export_web", "bundle")
+        assert parser().parse_args(started(monkeypatch, name)).command == name.replace("export_web", "bundle")
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_a_study_shows_its_pictures_in_blender(scene, dataset, monkeypatch):
     assert Path(note["report"]).is_file() and note["configurations"] >= 3
     assert bpy.data.images[STUDY].size[0] > 100
     again = started(monkeypatch, "study")
-    assert again[again.index("--out") + 1] == note["out"] and parser().parse_args(again).verb == "study"
+    assert again[again.index("--out") + 1] == note["out"] and parser().parse_args(again).command == "study"
 
 
 def test_a_box_without_volume_is_refused(scene):

@@ -46,10 +46,11 @@ def test_a_volume_lets_through_what_the_voxels_do_at_any_scale(scene, thing, tmp
     render = scene.render
     render.film_transparent, render.filepath = True, str(tmp_path / "haze.png")
     scene.cycles.samples, scene.cycles.seed = 64, 0
+    render.resolution_x = render.resolution_y = 12
     bpy.ops.render.render(write_still=True)
     render.film_transparent = False
-    alpha = read_image(tmp_path / "haze.png")[10:14, 14:18, 3] / 255
-    assert abs(alpha.mean() - (1 - (1 - ALPHA) ** THICK)) < 0.03
+    alpha = read_image(tmp_path / "haze.png")[4:8, 4:8, 3] / 255
+    assert abs(alpha.mean() - (1 - (1 - ALPHA) ** THICK)) < 0.05  # three times the spread of 1024 samples
 
 
 def test_without_openvdb_the_operator_says_so(thing):

@@ -21,13 +21,17 @@ from flax_checkpoint import networks, tree, write
 from scenes import make_snerg
 from snerg.core import cli
 from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands import bake, render
+from snerg.core.commands import eval as eval_command
 from snerg.core.commands.train import settings_of
+from snerg.core.errors import EXIT_STOPPED, SnergError
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene_files import write_scene
 from snerg.core.jobs.runner import start_command
 from snerg.core.nerf.checkpoint import read_field
 from snerg.core.progress import Note
 from snerg.core.rendering.render import MarchSettings
+from snerg.core.terminal import Terminal
 
 
 @pytest.fixture(scope="module")
@@ -60,10 +64,10 @@ def test_people_get_a_table(scene, capsys):
     assert "voxels" in out and "[31, 30, 33]" in out and "{" not in out.splitlines()[0]
 
 
-def test_every_verb_has_help(capsys):
-    for verb in ("train", "import", "bake", "eval", "render", "export", "bundle", "effects", "estimate", "info"):
-        assert cli.main([verb, "--help"]) == 0
-        assert f"snerg {verb}" in capsys.readouterr().out
+def test_every_command_has_help(capsys):
+    for command in ("train", "import", "bake", "eval", "render", "export", "bundle", "effects", "estimate", "study", "info"):
+        assert cli.main([command, "--help"]) == 0
+        assert f"snerg {command}" in capsys.readouterr().out
     assert cli.main(["--help"]) == 0
 
 
@@ -275,8 +279,8 @@ def test_options_reach_the_settings():
 
 def test_options_reach_the_bake_and_the_march(monkeypatch):
     seen = []
-    for verb in ("bake_scene", "evaluate", "render_views"):
-        monkeypatch.setattr(cli, verb, lambda *given: seen.append(given) or {})
+    for module, function in ((bake, "bake_scene"), (eval_command, "evaluate"), (render, "render_views")):
+        monkeypatch.setattr(module, function, lambda *given: seen.append(given) or {})
     compared = ["--float", "--no-visibility", "--no-refine"]
     assert cli.main(["bake", "x", "--out", "y", "--voxel-size", "0.1", "--samples", "auto", *compared]) == 0
     assert cli.main(["bake", "x", "--out", "y", "--resolution", "90", "--samples", "3", "--no-network", "--codec", "jpeg"]) == 0
@@ -303,7 +307,7 @@ def test_as_a_job(scene, tmp_path):
     child = start_command(["export", str(scene), "--out", str(tmp_path / "out")])
     assert child.wait()["kind"] == "reference scene"
     child = start_command(["info", str(tmp_path / "nothing")])
-    with pytest.raises(cli.SnergError, match="does not exist"):
+    with pytest.raises(SnergError, match="does not exist"):
         child.wait()
 
 
@@ -321,7 +325,7 @@ def test_the_keyboard_stops_a_training_and_keeps_it(dataset, tmp_path):
             break
     child.send_signal(signal.SIGINT)
     _, errors = child.communicate(timeout=60)
-    assert child.returncode == cli.EXIT_STOPPED, errors
+    assert child.returncode == EXIT_STOPPED, errors
     assert "kept" in errors and "Traceback" not in errors
     assert read_field(out).about["steps"] > 0
 
@@ -367,7 +371,7 @@ def test_progress_on_a_terminal_is_one_line(monkeypatch):
     clock = iter(np.arange(0.0, 100.0, 1.0))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     screen = Screen(True)
-    progress = cli.Terminal(screen)
+    progress = Terminal(screen)
     for step in range(5):
         progress(step / 5, f"Step {step}")
     progress.end()
@@ -378,7 +382,7 @@ def test_progress_in_a_log_is_a_line_now_and_then(monkeypatch):
     clock = iter(np.arange(0.0, 100.0, 1.0))
     monkeypatch.setattr(time, "monotonic", lambda: next(clock))
     screen = Screen(False)
-    progress = cli.Terminal(screen)
+    progress = Terminal(screen)
     for step in range(20):
         progress(step / 20, f"Step {step}")
     progress.end()
@@ -388,7 +392,7 @@ def test_progress_in_a_log_is_a_line_now_and_then(monkeypatch):
 @pytest.mark.parametrize("tty", [True, False])
 def test_notes_stay_on_the_screen(tty):
     screen = Screen(tty)
-    progress = cli.Terminal(screen)
+    progress = Terminal(screen)
     progress(0.1, "Step 1")
     progress(0.1, Note("NDC: no. The cameras look at it from around."))
     progress(0.1, Note("Alpha: yes."))
@@ -399,5 +403,5 @@ def test_notes_stay_on_the_screen(tty):
 
 
 def test_results_become_json():
-    value = cli.plain({"a": np.float32(1.5), "b": (np.inf, np.nan), "c": Path("x"), 3: np.arange(2), "d": None, "e": True})
+    value = cli.json_values({"a": np.float32(1.5), "b": (np.inf, np.nan), "c": Path("x"), 3: np.arange(2), "d": None, "e": True})
     assert json.loads(json.dumps(value, allow_nan=False)) == {"a": 1.5, "b": [None, None], "c": "x", "3": [0, 1], "d": None, "e": True}

@@ -31,14 +31,15 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 FEW, MANY = 3, int(os.environ.get("SNERG_KILLS", "10"))  # kills; by hand 50
 SAVE_ALWAYS = """
 import sys
-from snerg.core import cli
+from snerg.core import cli, terminal
+from snerg.core.baking import resume
+from snerg.core.training import saving
 from snerg.core.training import trainer as train
-from snerg.core.baking import resume as kept
-train.TELL_EVERY, train.SAVE_SHARE, kept.SAVE_EVERY = -1.0, 1e9, -1.0
-class Keeper(train.Keeper):
-    def __init__(self, trainer, folder, save_every):
-        super().__init__(trainer, folder, 0.0)
-train.Keeper, cli.EVERY_SECONDS = Keeper, 0.0
+train.TELL_EVERY, saving.SAVE_SHARE, resume.SAVE_SECONDS = -1.0, 1e9, -1.0
+class Saver(train.Saver):
+    def __init__(self, folder, checkpoint, save_every, *more):
+        super().__init__(folder, checkpoint, 0.0, *more)
+train.Saver, terminal.LINE_SECONDS = Saver, 0.0
 sys.exit(cli.main(sys.argv[1:]))
 """
 
@@ -132,7 +133,7 @@ def train(folder: Path, dataset: Path) -> Command:
 
 def bake(folder: Path, dataset: Path) -> Command:
     train_field(dataset, folder / "field", steps=12)
-    bake_scene(folder / "field", folder / "old", BakeSettings(40, samples=1), refine=False)
+    bake_scene(folder / "field", folder / "old", BakeSettings(40, supersampling=1), refine=False)
     arguments = ["bake", str(folder / "field"), "--resolution", "80", "--samples", "1", "--no-refine"]
     return Command(arguments, "%", scene_state)
 

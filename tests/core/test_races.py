@@ -18,7 +18,8 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import read_reference, write_reference
 from snerg.core.export.scene_files import read_scene, write_scene
-from snerg.core.io.files import new_folder, one_generation
+from snerg.core.io.files import new_folder
+from snerg.core.io.generation import one_generation
 
 READS = 40
 REWRITE = """

@@ -10,9 +10,10 @@ import pytest
 
 from scenes import make_snerg
 from snerg.core import cli
-from snerg.core.errors import LONGEST, SnergError
+from snerg.core.errors import MAX_MESSAGE, SnergError
 from snerg.core.export.scene_files import write_scene
 from snerg.core.progress import Note
+from snerg.core.terminal import Terminal
 
 COMMAND = [sys.executable, "-m", "snerg.core.start"]
 
@@ -55,13 +56,15 @@ def test_work_goes_on_when_nobody_sees_its_progress(scene, tmp_path):
     assert result.returncode == 0 and '"reference scene"' in result.stdout and (tmp_path / "out" / "scene_params.json").exists()
 
 
-@pytest.mark.parametrize("verb", ["info", "effects", "eval", "estimate", "export", "bundle", "bake", "import", "render", "train", "study"])
+@pytest.mark.parametrize(
+    "command", ["info", "effects", "eval", "estimate", "export", "bundle", "bake", "import", "render", "train", "study"]
+)
 @pytest.mark.parametrize("where", ["closed", "long", "longer"])
-def test_a_path_that_the_system_refuses(verb, where, tmp_path, capfd):
+def test_a_path_that_the_system_refuses(command, where, tmp_path, capfd):
     """A folder that may not be searched, a name of 300 characters, and a path of 300,000."""
     path = {"closed": tmp_path / "closed" / "scene", "long": tmp_path / ("x" * 300), "longer": tmp_path / ("x/" * 150_000)}[where]
-    arguments = [verb, str(path), *([] if verb in ("info", "effects", "eval", "estimate") else ["--out", str(tmp_path / "out")])]
-    arguments += ["--cameras", str(tmp_path / "cameras.json")] if verb == "render" else []
+    arguments = [command, str(path), *([] if command in ("info", "effects", "eval", "estimate") else ["--out", str(tmp_path / "out")])]
+    arguments += ["--cameras", str(tmp_path / "cameras.json")] if command == "render" else []
     if where == "closed":
         (tmp_path / "closed").mkdir(mode=0)
         if os.name != "posix":
@@ -71,7 +74,7 @@ def test_a_path_that_the_system_refuses(verb, where, tmp_path, capfd):
         importlib.import_module(f"snerg.core.{name}")
     with as_nobody(tmp_path) if where == "closed" else nullcontext():
         assert cli.main(arguments) == 2
-    assert len(sentence(capfd.readouterr().err)) < LONGEST + 100
+    assert len(sentence(capfd.readouterr().err)) < MAX_MESSAGE + 100
 
 
 @contextmanager
@@ -93,7 +96,7 @@ def as_nobody(folder):
 def test_names_in_messages_stay_on_one_line_and_short(tmp_path, capsys):
     name = "a\nsnerg: \x1b[2J\x1b]0;gone\x07 \u202edetrever\r" + "b" * 300_000
     text = str(SnergError(f"{name} is wrong; write it again."))
-    assert text.isprintable() and len(text) <= LONGEST and text.startswith("a snerg:  [2J") and text.endswith("write it again.")
+    assert text.isprintable() and len(text) <= MAX_MESSAGE and text.startswith("a snerg:  [2J") and text.endswith("write it again.")
     assert cli.main(["info", str(tmp_path / "a\nb\x1b[2Jc")]) == 2
     error = capsys.readouterr().err
     assert "a b [2Jc" in sentence(error) and "\x1b" not in error
@@ -101,7 +104,7 @@ def test_names_in_messages_stay_on_one_line_and_short(tmp_path, capsys):
     write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "dir\x1b[2J\n" / "scene")
     assert cli.main(["info", str(tmp_path / "dir\x1b[2J\n" / "scene")]) == 0
     assert "\x1b" not in capsys.readouterr().out
-    terminal = cli.Terminal(sys.stderr)
+    terminal = Terminal(sys.stderr)
     terminal(0.5, Note("one\x1b[2J\ntwo"))
     assert capsys.readouterr().err == "one [2J two\n"
 

@@ -110,6 +110,11 @@ def blender() -> Blender:
         pytest.skip("BLENDER names no full Blender: make test-blender BLENDER=/path/to/blender")
     if shutil.which(program) is None:
         pytest.skip(f"BLENDER is {program!r}, which is no program here")
+    return with_extension(program)
+
+
+def with_extension(program: str) -> Blender:
+    """A Blender into whose user folder under build/window the extension was installed from a new zip."""
     for name in ("user", "zip"):
         shutil.rmtree(OUT / name, ignore_errors=True)
     OUT.mkdir(parents=True, exist_ok=True)

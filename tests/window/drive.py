@@ -14,6 +14,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -224,12 +225,11 @@ class Layout:
         return put
 
 
-def main() -> None:
-    """Do the walk that the command line names."""
+def main(walks: Any = None) -> None:
+    """Do the walk that the command line names: a function of a module, walks.py by default."""
     name, folder, *arguments = sys.argv[sys.argv.index("--") + 1 :]
     sys.path.insert(0, str(Path(__file__).parent))
-    import walks
-
+    walks = walks or import_module("walks")
     view = bpy.context.preferences.view
     view.show_splash, view.filebrowser_display_type = False, "SCREEN"
     bpy.context.preferences.use_preferences_save = False

@@ -1,4 +1,4 @@
-"""COLMAP's sparse models, as text and as binary files, beside the images that they were made from."""
+"""Reads COLMAP's sparse models, text or binary, with the images that they were made from."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ...errors import SnergError
 from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
-from ...io.files import inside
 from ...io.guard import check_file, reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ...io.schema import FAR
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import find_image, image_folder, scaled_to
@@ -41,7 +41,7 @@ OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")
 MAX_BYTES = 2**32
 MAX_NAME = 4096
-NOISE = (0.1, 99.9)  # percentiles of a view's depths that count as its nearest and farthest, as LLFF takes them
+DEPTH_PERCENTILES = (0.1, 99.9)  # of the points in a view: its nearest and farthest depth, as in LLFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One of a model's images. world_to_camera: [3, 4], OpenCV axes. seen: [N] int64, the numbers of the points in it."""
+    """One of a model's images. world_to_camera: [3, 4], OpenCV axes. seen: [N] int64, the ids of the points in it."""
 
     name: str
     lens: int
@@ -67,7 +67,7 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """numbers [N] int64 ascending, points [N, 3] float64, colours [N, 3] uint8."""
+    """A model's points: their ids `numbers` [N] int64 ascending, points [N, 3] float64, colours [N, 3] uint8."""
 
     numbers: NDArray[Any]
     points: NDArray[Any]
@@ -153,12 +153,12 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
 
 
 class Bytes:
-    """Little-endian values off a file, none of them read past its end."""
+    """Reads little-endian values from a file, none past its end."""
 
     def __init__(self, path: Path) -> None:
         self.data, self.at = path.read_bytes(), 0
 
-    def take(self, layout: str) -> tuple:
+    def take(self, layout: str) -> tuple[Any, ...]:
         """The next values, as struct.unpack has them."""
         values = struct.unpack_from("<" + layout, self.data, self.at)
         self.at += struct.calcsize("<" + layout)
@@ -171,8 +171,8 @@ class Bytes:
             raise ValueError(f"it says that {count} records follow, more than its size allows")
         return int(count)
 
-    def array(self, kind: np.dtype, count: int) -> NDArray[Any]:
-        """The next `count` records."""
+    def array(self, kind: np.dtype[Any], count: int) -> NDArray[Any]:
+        """The next `count` records, [count] of dtype `kind`."""
         found = np.frombuffer(self.data, kind, count, self.at)
         self.at += count * kind.itemsize
         return found
@@ -265,7 +265,7 @@ def text_points(path: Path) -> Points:
     return _points(rows)
 
 
-def _points(rows: list[tuple]) -> Points:
+def _points(rows: list[tuple[Any, ...]]) -> Points:
     rows = sorted(row for row in rows if (np.abs(row[1:4]) <= FAR).all())
     return Points(
         np.array([row[0] for row in rows], np.int64),
@@ -319,7 +319,7 @@ def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
         depth = depth[depth > 0]
         if not len(depth):
             return None
-        bounds.append(np.percentile(depth, NOISE))
+        bounds.append(np.percentile(depth, DEPTH_PERCENTILES))
     return np.array(bounds)
 
 

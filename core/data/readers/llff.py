@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
-from ...io.files import inside
 from ...io.guard import check_file, reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import image_folder, images_in, scaled_to
 
@@ -60,7 +60,8 @@ def read_table(path: Path) -> NDArray[Any]:
     """
     check_file(path, MAX_BYTES)
     with reading(path, "run LLFF's imgs2poses again", f"The array of numbers {path}"):
-        table = np.lib.format.open_memmap(path, mode="r")  # takes memory for no more than there is, and no pickles
+        format: Any = np.lib.format  # NumPy gives its reader no types
+        table = format.open_memmap(path, mode="r")  # takes memory for no more than there is, and no pickles
     if table.ndim != 2 or table.shape[1] != 17 or not np.issubdtype(table.dtype, np.number):
         raise SnergError(f"{path} holds {table.dtype} {table.shape} instead of 17 numbers for each view; run LLFF's imgs2poses again.")
     if np.iscomplexobj(table) or not np.isfinite(table).all():

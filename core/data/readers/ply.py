@@ -1,4 +1,4 @@
-"""Points with colours from a PLY file."""
+"""Reads points with colours from a PLY file, text or binary."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _header(file: BinaryIO) -> tuple[str, int, dict[str, str]]:
     raise ValueError("its header does not end")
 
 
-def _binary(file: BinaryIO, size: int, count: int, kind: np.dtype) -> NDArray[Any]:
+def _binary(file: BinaryIO, size: int, count: int, kind: np.dtype[Any]) -> NDArray[Any]:
     if count * kind.itemsize > size:  # before anything is allocated for it
         raise ValueError(f"it says that it has {count} vertices, more than its size allows")
     return np.frombuffer(file.read(count * kind.itemsize), kind)

@@ -15,9 +15,10 @@ from ...errors import SnergError
 from ...geometry.box import Box
 from ...geometry.camera import Camera, focal_from_angle
 from ...geometry.distortion import MODELS, Distortion
-from ...io.files import inside, json_bytes, read_json, write_bytes
+from ...io.files import json_bytes, read_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
+from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import find_image, scaled_to
 from .ply import read_ply
@@ -26,10 +27,10 @@ LENSES = {
     **dict.fromkeys(("", "PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), "opencv"),
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
-OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # how instant-ngp tells of lenses that are not supported here
+OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
 OURS = ("snerg_box", "snerg_render")  # renders of our own: the world is Blender's
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # nerfstudio's
-NGP_SCALE = 0.33  # of instant-ngp's unit cube to the poses' units, where the file gives none
+NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
 
 
 def is_transforms(path: Path) -> bool:
@@ -74,9 +75,9 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         photographs=photographs,
         points=points,
         colours=colours,
-        half=read_half(file, value),
+        half_extent=read_half_extent(file, value),
         factor=options.downscale,
-        passed_over=len(views) - len(there),
+        skipped_frames=len(views) - len(there),
     )
 
 
@@ -104,15 +105,15 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     return value, frames
 
 
-def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, passes_over: bool) -> View | None:
-    """One frame's camera, image and mask; None for a frame without its image, with `passes_over`."""
+def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, skips_missing: bool) -> View | None:
+    """One frame's camera, image and mask; None for a frame without its image, with `skips_missing`."""
     where = f"{file}, frame {index}"
     name = frame.get("file_path")
     if not isinstance(name, str) or not name:
         raise SnergError(f"{where} has no file_path; every frame needs an image.")
     image = find_image(file.parent, name, where)
     if image is None:
-        if passes_over:
+        if skips_missing:
             return None
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     camera = read_camera(value, frame, read_size(image), where, name=image.stem)
@@ -208,7 +209,10 @@ def _plain(name: str) -> str:
 
 
 def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None, NDArray[Any] | None]:
-    """The points of ply_file_path, in the poses' world, if the file is there. applied_transform is in the poses and points already."""
+    """The points [N, 3] float64 of ply_file_path and their colours [N, 3] uint8, in the poses' world; None where there is no such file.
+
+    nerfstudio has applied its applied_transform to both the poses and the points.
+    """
     name = value.get("ply_file_path")
     if not isinstance(name, str):
         return None, None
@@ -216,8 +220,8 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
     return read_ply(path) if path.is_file() else (None, None)
 
 
-def read_half(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the side of instant-ngp's cube round the origin, in the poses' units."""
+def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
+    """Half the side of instant-ngp's cube around the origin, in the poses' units; None without aabb_scale."""
     if "aabb_scale" not in value:
         return None
     try:

@@ -7,9 +7,9 @@ import pytest
 
 from scenes import looking, make_dataset, random_network
 from snerg.core.baking.bake import BakeSettings, bake
-from snerg.core.baking.fine_tune import RefineSettings, gather, refine
+from snerg.core.baking.fine_tune import RefineSettings, march_training_views, refine
 from snerg.core.data.load import read_dataset
-from snerg.core.errors import Cancelled, SnergError
+from snerg.core.errors import Cancelled, SnergError, needs_jax
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -52,10 +52,10 @@ def camera_at(eye, size=64, near=0.0) -> Camera:
     return Camera(size, size, (1.2 * size, 1.2 * size), (size / 2, size / 2), looking(eye, (0, 0, 0)), near=near)
 
 
-def test_lattice_covers_the_box_and_a_voxel_more():
+def test_the_voxel_grid_covers_the_box_and_one_voxel_more():
     voxel_grid = VoxelGrid.inside(Box.axis_aligned([0, 0, 0], [2, 1, 0.5]), 2 / 64)
     assert voxel_grid.shape == (66, 34, 18)
-    assert np.allclose(voxel_grid.points(np.array([[1, 1, 1]]) - 0.5), 0)
+    assert np.allclose(voxel_grid.voxel_centres(np.array([[1, 1, 1]]) - 0.5), 0)
 
 
 @pytest.mark.hard_case(6, 39)
@@ -65,8 +65,8 @@ def test_a_baked_ball_is_the_ball(angles):
 
     pose = np.eye(4)
     pose[:3, :3] = rotation(angles)
-    snerg = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=8))
-    frame = render_scene(snerg, camera_at((0, -3.5, 0.5)))
+    scene = bake(Ball(), Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, supersampling=8))
+    frame = render_scene(scene, camera_at((0, -3.5, 0.5)))
     origins, directions = camera_at((0, -3.5, 0.5)).rays()
     closest = np.linalg.norm(np.cross(origins, directions), axis=-1).reshape(64, 64)
     assert (frame.alpha[closest < 0.55] > 0.99).all() and (frame.alpha[closest > 0.66] < 0.01).all()
@@ -76,8 +76,8 @@ def test_a_baked_ball_is_the_ball(angles):
 
 @pytest.mark.hard_case(18, 52)
 def test_fog_keeps_its_optical_depth():
-    snerg = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, samples=4))
-    frame = render_scene(snerg, camera_at((0, -30, 0), size=9).resized(9, 9))
+    scene = bake(Ball(radius=0.6, density=0.5), BOX, (), BakeSettings(128, supersampling=4))
+    frame = render_scene(scene, camera_at((0, -30, 0), size=9).resized(9, 9))
     assert frame.alpha[4, 4] == pytest.approx(-np.expm1(-0.5 * 1.2), abs=0.02)
 
 
@@ -94,7 +94,7 @@ def test_fog_is_as_thick_at_any_resolution():
     slant = -camera.rays()[1] @ camera.camera_to_world[:3, 2]
     closed = -np.expm1(-1.3 / slant).reshape(8, 8)
     for resolution in (20, 40, 110):
-        frame = render_scene(bake(Fog(), BOX, (), BakeSettings(resolution, samples=8)), camera)
+        frame = render_scene(bake(Fog(), BOX, (), BakeSettings(resolution, supersampling=8)), camera)
         assert np.abs(frame.alpha - closed)[2:6, 2:6].max() < 0.015, resolution
 
 
@@ -133,7 +133,7 @@ def test_coordinates_are_exact_to_a_thousandth_of_a_voxel():
     voxel_grid = VoxelGrid.inside(Box(pose, np.array([2.0, 1.6, 1.8])), 2 / 4096)
     domain = Domain.around(centre - 2, centre + 2)
     voxels = np.random.default_rng(0).integers(0, voxel_grid.shape, (1000, 3))
-    found = domain.from_world(voxel_grid.points(voxels))
+    found = domain.from_world(voxel_grid.voxel_centres(voxels))
     assert found.dtype == np.float32
     exact = ((voxels + 0.5 - np.array(voxel_grid.shape) / 2) * (2 / 4096)) @ pose[:3, :3].T / 2
     assert np.abs(found - exact).max() < 1e-3 * (2 / 4096) / 2
@@ -147,33 +147,33 @@ def test_a_sheet_of_one_voxel_is_found_wherever_it_lies():
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
     for at in np.random.default_rng(0).uniform(-0.9, 0.9, 6):
-        snerg = bake(Sheet(radius=at), BOX, (), BakeSettings(60, samples=8))
+        scene = bake(Sheet(radius=at), BOX, (), BakeSettings(60, supersampling=8))
         eye = (-4, 0, 0) if at < 0 else (4, 0, 0)
-        frame = render_scene(snerg, camera_at(eye, 16))
+        frame = render_scene(scene, camera_at(eye, 16))
         assert frame.alpha[4:12, 4:12].min() > 0.5
 
 
-def test_what_no_camera_sees_is_left_out():
+def test_invisible_voxels_are_culled():
     eyes = [(3, 0, 0.2), (-3, 0, 0.1), (0, 3, 0), (0, -3, 0.3), (0.2, 0.1, 3), (0.3, 0, -3)]
     cameras = [camera_at(eye, 96) for eye in eyes]
-    whole, seen = bake(Ball(), BOX, (), BakeSettings(90, samples=2)), bake(Ball(), BOX, cameras, BakeSettings(90, samples=2))
-    filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
-    assert filled[1] < 0.6 * filled[0]  # the inside is gone
+    whole, seen = bake(Ball(), BOX, (), BakeSettings(90, supersampling=2)), bake(Ball(), BOX, cameras, BakeSettings(90, supersampling=2))
+    occupied = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
+    assert occupied[1] < 0.6 * occupied[0]  # the inside is gone
     for camera in cameras:
         assert np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over()).max() < 3 / 255
 
 
 @pytest.mark.hard_case(48)
-def test_the_jitter_moves_nothing_and_is_seeded():
-    snerg = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, samples=16))
-    again = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, samples=16))
-    assert np.array_equal(snerg.cells, again.cells)
-    own = snerg.cells[:, 1:-1, 1:-1, 1:-1, -1].astype(np.float64)
-    place = np.argwhere(snerg.indirection >= 0)
+def test_jitter_keeps_the_centroid_and_is_seeded():
+    scene = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, supersampling=16))
+    again = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, supersampling=16))
+    assert np.array_equal(scene.cells, again.cells)
+    own = scene.cells[:, 1:-1, 1:-1, 1:-1, -1].astype(np.float64)
+    place = np.argwhere(scene.indirection >= 0)
     index = np.indices((30, 30, 30)).reshape(3, -1).T
     voxels = (place[:, None] * 30 + index + 0.5).reshape(-1, 3)
     centroid = (voxels * own.reshape(-1, 1)).sum(axis=0) / own.sum()
-    assert np.abs(centroid - np.array(snerg.shape) / 2).max() < 0.01
+    assert np.abs(centroid - np.array(scene.shape) / 2).max() < 0.01
 
 
 @pytest.mark.hard_case(49)
@@ -189,17 +189,17 @@ def test_half_a_voxel_of_solid_stops_half_the_light(optical, samples):
             density = np.where(full, optical / voxel, 0).astype(np.float32)
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
-    snerg = bake(Checkerboard(), BOX, (), BakeSettings(20, samples=samples))
-    opacity = snerg.cells[0, 3:-15, 3:-15, 3:-15, -1] / 255
+    scene = bake(Checkerboard(), BOX, (), BakeSettings(20, supersampling=samples))
+    opacity = scene.cells[0, 3:-15, 3:-15, 3:-15, -1] / 255
     mean_opacity, by_mean_density = (1 - np.exp(-optical)) / 2, 1 - np.exp(-optical / 2)
     assert opacity.mean() == pytest.approx(mean_opacity, abs=0.01) and by_mean_density > mean_opacity + 0.25
 
 
 @pytest.mark.hard_case(57)
 def test_an_empty_box_is_a_valid_scene_and_says_so():
-    snerg = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
-    assert len(snerg.cells) == 0 and "holds nothing" in snerg.about["bake"]["warning"]
-    assert not render_scene(snerg, camera_at((3, 0, 0), 8)).alpha.any()
+    scene = bake(Ball(), Box.axis_aligned([0.7, 0.7, 0.7], [0.9, 0.9, 0.9]), (camera_at((3, 0, 0)),), BakeSettings(32))
+    assert len(scene.cells) == 0 and "holds nothing" in scene.about["bake"]["warning"]
+    assert not render_scene(scene, camera_at((3, 0, 0), 8)).alpha.any()
 
 
 @pytest.mark.hard_case(36)
@@ -209,8 +209,8 @@ def test_a_floor_on_the_face_of_the_box_survives():
             density = np.where(points[:, 2] < -1 + 2 / 64, 400.0, 0).astype(np.float32)
             return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4), np.float32)
 
-    snerg = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, samples=2))
-    assert render_scene(snerg, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
+    scene = bake(Floor(), BOX, (camera_at((0, 0, 3)),), BakeSettings(64, supersampling=2))
+    assert render_scene(scene, camera_at((0, 0, 4), 16)).alpha[6:10, 6:10].min() > 0.7
 
 
 def test_cancelled_between_batches():
@@ -227,7 +227,7 @@ def test_view_dependence_in_every_sample_cannot_be_baked(view):
         bake(Ball(view=view), BOX, (), BakeSettings(32))
 
 
-def test_holes_are_filled_where_asked_or_facing_forward():
+def test_opacity_correction_is_on_where_asked_or_forward_facing():
     assert not bake(Ball(), BOX, (), BakeSettings(16)).opacity_correction
     assert bake(Ball(), BOX, (), BakeSettings(16, opacity_correction=True)).opacity_correction
     assert bake(Ball(ndc=Ndc(np.eye(4), (1.0, 1.0), 1.0)), BOX, (), BakeSettings(16)).opacity_correction
@@ -244,11 +244,20 @@ def test_a_field_without_features_is_baked():
 
 
 @pytest.mark.parametrize(
-    "settings", [{"resolution": 0}, {"resolution": 10**6}, {"samples": -1}, {"samples": 65}, {"voxel_size": 0.0}, {"alpha_threshold": 0.0}]
+    "settings",
+    [{"resolution": 0}, {"resolution": 10**6}, {"supersampling": -1}, {"supersampling": 65}, {"voxel_size": 0.0}, {"alpha_threshold": 0.0}],
 )
 def test_settings_that_make_no_sense(settings):
     with pytest.raises(SnergError):
         BakeSettings(**settings)
+
+
+def test_settings_keep_their_names_in_files():
+    settings = BakeSettings(96, supersampling=4, opacity_correction=True)
+    assert settings.to_json()["samples"] == 4 and settings.to_json()["fill_holes"] is True
+    assert BakeSettings.from_json(settings.to_json()) == settings
+    with pytest.raises(TypeError):
+        BakeSettings.from_json({"voxels": 96})
 
 
 def test_a_box_without_volume():
@@ -259,31 +268,31 @@ def test_a_box_without_volume():
 def test_refining_gains_and_never_loses(tmp_path):
     dataset = read_dataset(make_dataset(tmp_path / "data"))
     ball = Ball(radius=0.9, network=random_network(3))
-    snerg = bake(ball, BOX, dataset.cameras, BakeSettings(40, samples=2))
-    better, report = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    scene = bake(ball, BOX, dataset.cameras, BakeSettings(40, supersampling=2))
+    better, report = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert report["psnr_after"] > report["psnr_before"] + 0.5
-    assert better.network is not None and not np.array_equal(better.network.weights_2, snerg.network.weights_2)
-    again, _ = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    assert better.network is not None and not np.array_equal(better.network.weights_2, scene.network.weights_2)
+    again, _ = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert np.array_equal(again.network.weights_0, better.network.weights_0)
 
 
-def test_refining_keeps_to_the_frequencies_of_training_and_is_judged_by_whole_views(tmp_path):
+def test_refining_keeps_the_frequencies_of_training_and_validates_on_whole_views(tmp_path):
     dataset = read_dataset(make_dataset(tmp_path / "data"))
     network = random_network(3)
     network = network._replace(weights_0=np.asarray(network.weights_0) * (np.arange(34) % 2 == 0)[:, None].astype(np.float32))
-    snerg = bake(Ball(radius=0.9, network=network), BOX, dataset.cameras, BakeSettings(40, samples=2))
-    better, report = refine(snerg, dataset, RefineSettings(batch=256, epochs=8))
+    scene = bake(Ball(radius=0.9, network=network), BOX, dataset.cameras, BakeSettings(40, supersampling=2))
+    better, report = refine(scene, dataset, RefineSettings(batch=256, epochs=8))
     assert report["gain_db"] > 0.5 and better.network is not None
     kept = (better.network.weights_0 != 0).any(axis=1)
     assert np.array_equal(kept, np.arange(34) % 2 == 0)
-    gathered = gather(snerg, dataset, RefineSettings(), lambda f, w: None)
-    rays = dataset.cameras[5].rays()[1].astype(np.float32)  # of twelve views the one that is judged by
-    own = (np.abs(gathered.directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
-    assert own[: gathered.held].all() and not own[gathered.held :].any() and gathered.held > 100
+    pixels = march_training_views(scene, dataset, RefineSettings(), lambda f, w: None)
+    rays = dataset.cameras[5].rays()[1].astype(np.float32)  # the validation view of twelve
+    own = (np.abs(pixels.view_directions[:, None] - rays).max(axis=-1) < 1e-6).any(axis=1)
+    assert own[: pixels.validation].all() and not own[pixels.validation :].any() and pixels.validation > 100
 
 
 @pytest.mark.hard_case(8, 43)
-def test_what_refining_aims_at():
+def test_targets_of_refining():
     """Masked pixels are left out; over another background the network, which is defined over white, has the same to make up for."""
 
     class Views:
@@ -296,8 +305,8 @@ def test_what_refining_aims_at():
         def mask(self, index):
             return self.hidden
 
-    snerg = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
-    frame = render_scene(snerg, camera_at((0, -3.5, 0.5), 16))
+    scene = bake(Ball(radius=0.8, density=1.5, network=random_network(3)), BOX, (), BakeSettings(32))
+    frame = render_scene(scene, camera_at((0, -3.5, 0.5), 16))
     mask = np.zeros((16, 16), bool)
     mask[4:9, 5:11] = True
     alpha = frame.alpha[..., None]
@@ -306,17 +315,22 @@ def test_what_refining_aims_at():
         opaque = np.rint(frame.over(background) * 255).astype(np.uint8)
         cut_out = np.rint(np.concatenate([np.clip(frame.colour / np.maximum(alpha, 1e-6), 0, 1), alpha], axis=-1) * 255).astype(np.uint8)
         for image in (opaque, cut_out):
-            whole = gather(snerg, Views(None, image), settings, lambda f, w: None)
-            part = gather(snerg, Views(mask, image), settings, lambda f, w: None)
+            whole = march_training_views(scene, Views(None, image), settings, lambda f, w: None)
+            part = march_training_views(scene, Views(mask, image), settings, lambda f, w: None)
             assert len(part.colour) == 30 < len(whole.colour)
-            final = whole.colour + view_residual(np, snerg.network, whole.colour, whole.features, whole.directions)
-            assert np.abs(np.clip(final, 0, 1) - np.clip(whole.wanted, 0, 1)).max() < 0.02
+            final = whole.colour + view_residual(np, scene.network, whole.colour, whole.features, whole.view_directions)
+            assert np.abs(np.clip(final, 0, 1) - np.clip(whole.target, 0, 1)).max() < 0.02
+
+
+def test_a_missing_optax_is_an_error_that_says_what_to_install():
+    with pytest.raises(SnergError, match="pip install optax"), needs_jax():
+        raise ImportError("No module named 'optax'")
 
 
 def test_a_diffuse_scene_is_not_refined(tmp_path):
-    snerg = bake(Ball(), BOX, (), BakeSettings(32, samples=1))
-    same, report = refine(snerg, read_dataset(make_dataset(tmp_path / "data")))
-    assert same is snerg and "diffuse" in report["skipped"] and snerg.cells.shape[-1] == 4
+    scene = bake(Ball(), BOX, (), BakeSettings(32, supersampling=1))
+    same, report = refine(scene, read_dataset(make_dataset(tmp_path / "data")))
+    assert same is scene and "diffuse" in report["skipped"] and scene.cells.shape[-1] == 4
 
 
 def test_a_voxel_size_takes_the_place_of_the_resolution():
@@ -333,7 +347,7 @@ def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
 
     def fits(resolution: int) -> None:
         voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
-        memory.check_fits(Ball(), BOX, voxel_grid, 8)
+        memory.check_memory(Ball(), BOX, voxel_grid, 8)
 
     monkeypatch.setattr(memory, "available_bytes", lambda: 2**30)
     with pytest.raises(SnergError, match=r"2000 voxels.*GB.*choose at most (\d+)") as told:
@@ -348,13 +362,13 @@ def test_a_bake_that_does_not_fit_is_refused_with_what_does(monkeypatch):
 
 
 def test_the_estimate_of_blocks_is_near_what_is_baked():
-    from snerg.core.baking.memory import blocks_met, full_points
+    from snerg.core.baking.memory import count_blocks, occupied_points
 
     for resolution in (90, 200):
         voxel_grid = VoxelGrid.inside(BOX, 2 / resolution)
         found, baked = (
-            blocks_met(full_points(Ball(), BOX), voxel_grid),
-            len(bake(Ball(), BOX, (), BakeSettings(resolution, samples=1)).cells),
+            count_blocks(occupied_points(Ball(), BOX), voxel_grid),
+            len(bake(Ball(), BOX, (), BakeSettings(resolution, supersampling=1)).cells),
         )
         assert 0.9 * baked <= found <= 1.4 * baked
 
@@ -367,7 +381,7 @@ def test_this_machine_says_what_memory_it_has():
 
 
 @pytest.mark.hard_case(52)
-def test_what_adds_up_is_kept_and_what_does_not_is_told():
+def test_opacity_that_adds_up_is_kept_and_the_rest_is_reported():
     """100 voxels just under a threshold of 0.005 are 39% opaque, at any voxel size; nothing of a ray's light is lost untold."""
 
     class Fog(Ball):
@@ -377,15 +391,15 @@ def test_what_adds_up_is_kept_and_what_does_not_is_told():
 
     camera = camera_at((0, -3, 0), 8).resized(8, 8)
     for opacity in (0.0045, 0.0009, 0.00005):  # of a voxel
-        snerg = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, samples=1))
+        scene = bake(Fog(density=opacity * 50), BOX, (), BakeSettings(100, supersampling=1))
         closed = -np.expm1(-opacity * 100)
-        got = render_scene(snerg, camera).alpha[4, 4]
-        assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else snerg.about["bake"]["opacity_lost_at_most"])
+        got = render_scene(scene, camera).alpha[4, 4]
+        assert got == pytest.approx(closed, abs=0.02 if opacity > 0.0005 else scene.about["bake"]["opacity_lost_at_most"])
         if opacity < 0.0005:
-            assert len(snerg.cells) == 0 and closed <= snerg.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
+            assert len(scene.cells) == 0 and closed <= scene.about["bake"]["opacity_lost_at_most"] < 1.2 * closed
 
 
-def test_more_samples_are_taken_where_they_help():
+def test_supersampling_is_used_where_it_helps():
     """A pattern finer than a voxel needs several; a smooth one does not, and blurring it is no better."""
 
     class Rods(Ball):
@@ -399,29 +413,29 @@ def test_more_samples_are_taken_where_they_help():
     assert errors[fine["samples"]] < 0.9 * errors[1]
 
 
-def test_what_is_left_out_for_comparison():
+def test_ablations():
     ball, cameras = Ball(network=random_network(3)), (camera_at((3, 0, 0)),)
-    plain = bake(ball, BOX, cameras, BakeSettings(40, samples=2))
-    whole = bake(ball, BOX, cameras, BakeSettings(40, samples=2, visibility=False))
+    plain = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2))
+    whole = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2, visibility=False))
     assert (whole.cells[..., -1] > 0).sum() > 1.3 * (plain.cells[..., -1] > 0).sum()
-    exact = bake(ball, BOX, cameras, BakeSettings(40, samples=2, quantise=False))
+    exact = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2, quantise=False))
     assert exact.cells.dtype == np.float32 and np.abs(exact.cells - plain.cells / np.float32(255)).max() < 1.01 / 255
-    diffuse = bake(ball, BOX, cameras, BakeSettings(40, samples=2, network=False))
+    diffuse = bake(ball, BOX, cameras, BakeSettings(40, supersampling=2, network=False))
     assert diffuse.network is None and np.array_equal(diffuse.cells, plain.cells[..., [0, 1, 2, 7]])
 
 
 def test_files_memory_and_time_follow_the_light(tmp_path):
     """A ray ends with its light: an opaque scene takes few samples and stores a shell; the same shape as fog takes and stores all of it."""
     cameras = tuple(camera_at(eye) for eye in ((4, 0, 0.5), (-4, 0, 0.5), (0, 4, 0), (0, -4, 0), (0.1, 0, 4), (0.1, 0, -4)))
-    solid, fog = (bake(Ball(0.9, d), BOX, cameras, BakeSettings(160, samples=1)) for d in (4000.0, 0.5))
+    solid, fog = (bake(Ball(0.9, d), BOX, cameras, BakeSettings(160, supersampling=1)) for d in (4000.0, 0.5))
     clear, hard = fog.about["bake"]["light"], solid.about["bake"]["light"]
     assert hard["passes"] < 0.1 < 0.3 < clear["passes"] and hard["rays"] == pytest.approx(clear["rays"], rel=0.15)
     assert hard["voxels"] < 16 and clear["voxels"] > 40
     origins, directions = cameras[0].rays()
-    samples = [march_rays(snerg, origins, directions).samples for snerg in (solid, fog)]
+    samples = [march_rays(scene, origins, directions).samples for scene in (solid, fog)]
     assert 4 * samples[0] < samples[1]
-    for name, snerg in (("solid", solid), ("fog", fog)):
-        write_scene(snerg, tmp_path / name)
+    for name, scene in (("solid", solid), ("fog", fog)):
+        write_scene(scene, tmp_path / name)
     assert 2 * folder_bytes(tmp_path / "solid") < folder_bytes(tmp_path / "fog") and len(solid.cells) < len(fog.cells)
 
 
@@ -443,7 +457,7 @@ def test_far_from_the_origin_the_bake_is_the_same():
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), at
         ball = Ball(centre=at, domain=Domain.around(at - 1, at + 1))
-        baked.append(bake(ball, Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, samples=2)))
+        baked.append(bake(ball, Box(pose, np.array([2.0, 1.6, 1.8])), (), BakeSettings(64, supersampling=2)))
     assert np.array_equal(baked[0].indirection, baked[1].indirection)
     assert (baked[0].cells != baked[1].cells).mean() < 1e-3
 
@@ -451,7 +465,7 @@ def test_far_from_the_origin_the_bake_is_the_same():
 def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
     """Against points, close together, of every occupied cell; in a box turned and shifted against the cells."""
     from scenes import rotation
-    from snerg.core.baking.occupied_voxels import may_hold
+    from snerg.core.baking.occupied_voxels import candidate_blocks
 
     draw = np.random.default_rng(0)
     occupied = np.zeros((128,) * 3, bool)
@@ -462,7 +476,7 @@ def test_blocks_are_looked_at_wherever_an_occupied_cell_reaches():
     pose[:3, :3], pose[:3, 3] = rotation((0.4, -0.2, 0.7)), (0.1, 0.0, -0.1)
     for resolution in (100, 1500):
         voxel_grid = VoxelGrid.inside(Box(pose, np.array([1.0, 1.2, 0.9])), 1.2 / resolution)
-        found = may_hold(ball, voxel_grid)
+        found = candidate_blocks(ball, voxel_grid)
         points = ((np.argwhere(occupied)[:, None] + draw.random((40, 300, 3))) / 64 - 1).reshape(-1, 3)
         voxels = (points - voxel_grid.grid_to_world[:3, 3]) @ voxel_grid.grid_to_world[:3, :3] / voxel_grid.voxel_size
         voxels = voxels[((voxels >= 0) & (voxels < voxel_grid.shape)).all(axis=-1)]

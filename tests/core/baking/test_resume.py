@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from scenes import looking, random_network
-from snerg.core.baking import resume as kept_module
+from snerg.core.baking import resume as resume_module
 from snerg.core.baking.bake import BakeSettings, bake
-from snerg.core.baking.resume import ResumeCache, each
+from snerg.core.baking.resume import ResumeCache, run_parts
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -24,7 +24,7 @@ from snerg.core.nerf.model import HashModelConfig
 from snerg.core.nerf.sampling import Domain
 
 BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
-SETTINGS = BakeSettings(100, samples=2)
+SETTINGS = BakeSettings(100, supersampling=2)
 CAMERAS = tuple(Camera(24, 24, (30, 30), (12, 12), looking(eye, (0, 0, 0))) for eye in ((3, 0, 0.2), (0, -3, 0.3), (0.2, 0.1, 3)))
 
 
@@ -48,7 +48,7 @@ def asked() -> Asked:
 
 def bake_slowly(folder: str) -> None:
     """What the child does: keep every part at once, and say so by its files."""
-    kept_module.SAVE_EVERY = -1.0
+    resume_module.SAVE_SECONDS = -1.0
     Asked.seconds = 0.03
     bake(asked(), BOX, CAMERAS, SETTINGS, resume=Path(folder))
 
@@ -82,9 +82,9 @@ def test_killed_at_any_moment_it_goes_on_and_ends_the_same(tmp_path):
 def test_other_settings_begin_anew(tmp_path):
     bake(asked(), BOX, CAMERAS, SETTINGS, resume=tmp_path / "kept")
     Asked.points = 0
-    other = bake(asked(), BOX, CAMERAS, BakeSettings(60, samples=2), resume=tmp_path / "kept")
+    other = bake(asked(), BOX, CAMERAS, BakeSettings(60, supersampling=2), resume=tmp_path / "kept")
     assert Asked.points > 0
-    assert np.array_equal(other.cells, bake(asked(), BOX, CAMERAS, BakeSettings(60, samples=2)).cells)
+    assert np.array_equal(other.cells, bake(asked(), BOX, CAMERAS, BakeSettings(60, supersampling=2)).cells)
 
 
 def test_a_damaged_part_is_done_again(tmp_path):
@@ -102,7 +102,7 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path):
     assert (tmp_path / "diary.txt").exists()
 
 
-@pytest.mark.parametrize("message", ["Looking", "Visibility", "Baking"])
+@pytest.mark.parametrize("message", ["Finding", "Visibility", "Baking"])
 def test_cancelled_in_any_stage_it_keeps_what_it_has(tmp_path, message):
     def stop(fraction: float, what: str) -> None:
         if what.startswith(message):
@@ -120,7 +120,7 @@ def test_a_long_part_is_not_waited_for():
 
     began = time.monotonic()
     with pytest.raises(Cancelled):
-        list(each("slow", 1, lambda part: time.sleep(2) or {}, ResumeCache(None, ""), stop))
+        list(run_parts("slow", 1, lambda part: time.sleep(2) or {}, ResumeCache(None, ""), stop))
     assert time.monotonic() - began < 1.5
 
 

@@ -1,4 +1,4 @@
-"""Every verb on small inputs: what it writes, what it returns, what it refuses before it starts."""
+"""Every command on small inputs: what it writes, what it returns, what it refuses before it starts."""
 
 import json
 import os
@@ -309,11 +309,13 @@ def test_a_field_whose_images_are_gone_says_so(tmp_path, field):
 def test_baking_refining_and_measuring(tmp_path, field, dataset):
     (tmp_path / "box.json").write_text(json.dumps({"min": [-1, -1, -1], "max": [1, 1, 1.1]}))
     said = []
-    result = bake_scene(field, tmp_path / "scene", BakeSettings(40, samples=1), tmp_path / "box.json", progress=lambda f, m: said.append(f))
+    result = bake_scene(
+        field, tmp_path / "scene", BakeSettings(40, supersampling=1), tmp_path / "box.json", progress=lambda f, m: said.append(f)
+    )
     assert result["kind"] == "scene" and result["refined"] and set(result["seconds"]) == {"bake", "refine"}
     assert 40 <= max(result["voxels"]) <= 44 and said == sorted(said) and said[-1] <= 1
     assert evaluate(tmp_path / "scene", dataset, "test")["psnr"] > 3
-    plain = bake_scene(field, tmp_path / "scene", BakeSettings(40, samples=1), refine=False, codec=CodecSettings("jpeg", 80))
+    plain = bake_scene(field, tmp_path / "scene", BakeSettings(40, supersampling=1), refine=False, codec=CodecSettings("jpeg", 80))
     assert not plain["refined"] and set(plain["seconds"]) == {"bake"}
     assert codec_of(tmp_path / "scene") == CodecSettings("jpeg", 80)
 
@@ -326,7 +328,7 @@ def test_what_is_left_out_to_compare_with(tmp_path, field, dataset):
     write_field(blind, tmp_path / "blind")
 
     def baked(name, source=field, **settings):
-        chosen = BakeSettings(40, samples=1, **settings)
+        chosen = BakeSettings(40, supersampling=1, **settings)
         bake_scene(source, tmp_path / name, chosen, tmp_path / "box.json", refine=name == "diffuse")
         return read_scene(tmp_path / name)
 
@@ -384,5 +386,5 @@ def test_paths_that_are_nothing(tmp_path):
 
 def test_a_box_that_holds_nothing_bakes_to_an_empty_scene_and_says_so(tmp_path, field):
     (tmp_path / "box.json").write_text(json.dumps({"min": [50, 50, 50], "max": [51, 51, 51]}))
-    result = bake_scene(field, tmp_path / "scene", BakeSettings(32, samples=1), tmp_path / "box.json")
+    result = bake_scene(field, tmp_path / "scene", BakeSettings(32, supersampling=1), tmp_path / "box.json")
     assert result["blocks"] == 0 and not result["refined"] and "box" in result["warning"]

@@ -95,7 +95,7 @@ def test_photographs_that_instant_ngp_threw_away(tmp_path):
     folder = write_ngp(tmp_path / "a", ring())
     (folder / "images" / "004.png").unlink()
     dataset = read_dataset(folder, options=ALL)
-    assert len(dataset.views) == 11 and dataset.passed_over == 1 and [c.name for c in dataset.cameras][3:5] == ["003", "005"]
+    assert len(dataset.views) == 11 and dataset.skipped_frames == 1 and [c.name for c in dataset.cameras][3:5] == ["003", "005"]
     value = json.loads((folder / "transforms.json").read_text())
     del value["aabb_scale"]
     (folder / "transforms.json").write_text(json.dumps(value))

@@ -47,7 +47,7 @@ def test_lenses_bend_as_published(lens):
 def test_there_and_back(lens):
     points = np.random.default_rng(1).uniform(-0.72, 0.72, (5000, 2))
     assert np.abs(lens.undistort(lens.distort(points)) - points).max() < 1e-9
-    assert lens.sees(lens.distort(points)).all()
+    assert lens.is_valid(lens.distort(points)).all()
 
 
 def test_a_fisheye_nearly_to_the_side():
@@ -72,13 +72,13 @@ def test_every_pixel_has_a_finite_ray(lens):
 def test_what_lies_past_a_fold_is_not_seen():
     edge = 1 / math.sqrt(0.9)  # where 1 - 0.9 r^2 is 0
     farthest = edge * (1 - 0.3 * edge**2)
-    assert FOLDS.sees(np.array([[farthest * 0.999, 0], [0, -farthest * 1.001]])).tolist() == [True, False]
+    assert FOLDS.is_valid(np.array([[farthest * 0.999, 0], [0, -farthest * 1.001]])).tolist() == [True, False]
     outside = FOLDS.distort(np.array([[edge * 1.3, 0]]))  # the polynomial would put this at 0.67, inside the picture
     assert outside[0, 0] > farthest
     camera = Camera(40, 30, (10.0, 10.0), (20, 15), np.eye(4), distortion=FOLDS)
-    seen = camera.sees()
+    seen = camera.valid_pixels()
     assert seen is not None and seen[15, 20] and not seen[0, 0]
-    assert Camera(40, 30, (60.0, 60.0), (20, 15), np.eye(4), distortion=FOLDS).sees() is None
+    assert Camera(40, 30, (60.0, 60.0), (20, 15), np.eye(4), distortion=FOLDS).valid_pixels() is None
 
 
 def test_rays_of_a_lens_meet_what_projects_to_their_pixels():

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from snerg.core.data.readers.transforms import read_cameras
-from snerg.core.errors import LONGEST, Cancelled, SnergError
+from snerg.core.errors import MAX_MESSAGE, Cancelled, SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.io.files import read_json
 from snerg.core.io.guard import read_arrays, reading
@@ -45,7 +45,7 @@ def test_being_stopped_passes():
 
 def test_a_sentence_is_short_and_printable_whatever_it_names():
     sentence = str(SnergError("The file " + "a\nb\x1b[31m\ud800" * 50_000 + " is damaged."))
-    assert len(sentence) <= LONGEST and sentence.isprintable() and sentence.endswith("is damaged.")
+    assert len(sentence) <= MAX_MESSAGE and sentence.isprintable() and sentence.endswith("is damaged.")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Windows has no pipes in folders")

@@ -116,7 +116,7 @@ def test_never_two_at_once(tmp_path):
 
 
 def test_a_lock_file_that_says_nothing_good(tmp_path, monkeypatch):
-    monkeypatch.setattr(lock, "PATIENCE", 0.0)
+    monkeypatch.setattr(lock, "WAIT_SECONDS", 0.0)
     for text in ("", "[]", "{", '{"pid": "x", "doing": 1, "since": 1e400}', "null"):
         with one_writer(tmp_path / "out", "a bake"):
             (tmp_path / ".out.lock").write_text(text)
@@ -134,8 +134,8 @@ def test_where_no_lock_can_be_written(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
-def test_every_verb_that_writes_is_the_only_one(tmp_path, dataset, monkeypatch):
-    monkeypatch.setattr(lock, "PATIENCE", 0.0)
+def test_every_command_that_writes_is_the_only_one(tmp_path, dataset, monkeypatch):
+    monkeypatch.setattr(lock, "WAIT_SECONDS", 0.0)
     write_scene(make_snerg((31, 30, 33)), tmp_path / "scene")
     scene, out = tmp_path / "scene", tmp_path / "out"
     writers = {

@@ -20,7 +20,7 @@ from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, init_field
 from snerg.core.nerf.sampling import CELLS, Domain
-from snerg.core.study.plan import Config
+from snerg.core.study.plan import Configuration
 from snerg.core.study.sweep import read_row
 from snerg.core.training.log import read_log
 
@@ -146,7 +146,14 @@ def test_a_field(tmp_path, named, edit):
     [put("psnr", None), put("ms", float("nan")), put("seconds", []), put("config", "page", 3), put("config", "bake", "resolution", "x")],
 )
 def test_a_row_of_a_study(tmp_path, edit):
-    row: dict[str, Any] = {"key": "row", "config": Config().to_json(), "psnr": 30.0, "ms": 5.0, "megabytes": 1.0, "seconds": {"bake": 1.0}}
+    row: dict[str, Any] = {
+        "key": "row",
+        "config": Configuration().to_json(),
+        "psnr": 30.0,
+        "ms": 5.0,
+        "megabytes": 1.0,
+        "seconds": {"bake": 1.0},
+    }
     path = tmp_path / "row.json"
     path.write_text(json.dumps(row))
     assert read_row(path) == row

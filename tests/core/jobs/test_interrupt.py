@@ -17,7 +17,7 @@ from scenes import make_cameras, make_dataset, make_snerg
 from snerg.core import cli
 from snerg.core.commands.train import train_field
 from snerg.core.data.readers.transforms import write_transforms
-from snerg.core.errors import Cancelled
+from snerg.core.errors import EXIT_STOPPED, Cancelled
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import write_scene
 from snerg.core.io.files import SAVING
@@ -80,7 +80,7 @@ def interrupted(words: list[str], delay: float, out: Path, command: tuple[str, .
     seconds, said = time.perf_counter() - (pressed if code else started), log.read_text()
     if code == -signal.SIGINT:  # Python's own last moments, when all is done: it hears nothing any more, and a shell says 130 too
         return seconds, True
-    assert code in (cli.EXIT_STOPPED, 0), said
+    assert code in (EXIT_STOPPED, 0), said
     assert "Traceback" not in said and (code == 0 or said.splitlines()[-1].startswith("snerg: S")), said
     assert not [path for path in out.parent.rglob(".*") if path.suffix in (".part", ".old")]
     return seconds, code != 0
@@ -150,12 +150,13 @@ def run_slow(body: str, out: Path, presses: int = 1) -> tuple[int, str, float]:
 import sys, threading, time
 from pathlib import Path
 from snerg.core import cli, errors
+from snerg.core.commands import info as info_command
 from snerg.core.io import files
 out = Path({str(out)!r})
 def info(path, progress):
 {body}
     return {{}}
-cli.info = info
+info_command.info = info
 sys.exit(cli.main(["info", "x"]))
 """
     child = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True, cwd=ROOT)

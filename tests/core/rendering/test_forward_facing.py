@@ -22,9 +22,9 @@ NAMES = [camera.name for camera in make_forward_cameras(FRAME)]
 @pytest.mark.parametrize("diffuse", [False, True])
 @pytest.mark.parametrize("index", range(len(NAMES)), ids=NAMES)
 def test_equals_the_dense_march(diffuse, index):
-    snerg = make_forward(diffuse)
+    scene = make_forward(diffuse)
     camera = make_forward_cameras(FRAME)[index]
-    got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
+    got, truth = render_scene(scene, camera), dense_march(scene, camera)
     assert got.alpha.max() > 0.5
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
     assert np.abs(got.over() - truth.over()).max() < 1e-4
@@ -34,9 +34,9 @@ def test_equals_the_dense_march(diffuse, index):
 
 @pytest.mark.hard_case(33)
 def test_skipping_changes_nothing():
-    snerg = make_forward()
+    scene = make_forward()
     for camera in make_forward_cameras(FRAME):
-        with_skip, without = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(skip=False))
+        with_skip, without = render_scene(scene, camera), render_scene(scene, camera, MarchSettings(skip=False))
         assert np.abs(with_skip.colour - without.colour).max() < 1e-6
 
 
@@ -106,24 +106,24 @@ def seen_in_the_world(camera, frame):
 def planes():
     field = Planes(HashModelConfig(), {}, None, Domain.around(np.full(3, -1.0), np.full(3, 1.0)), None, 2 / 512, ndc=FRAME)
     cameras, fine = make_forward_cameras(FRAME)[:2], make_forward_cameras(FRAME, 96, 72)[:2]
-    return field, bake(field, field.domain.world_box(), fine, BakeSettings(128, samples=2)), cameras
+    return field, bake(field, field.domain.world_box(), fine, BakeSettings(128, supersampling=2)), cameras
 
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("kind", ["field", "march", "oracle"])
 def test_planes_of_the_world_are_where_they_are(planes, index, kind):
-    field, snerg, cameras = planes
+    field, scene, cameras = planes
     colour, distance, clear = seen_in_the_world(cameras[index], FRAME)
-    got = {"field": lambda c: render_field(field, c), "march": lambda c: render_scene(snerg, c), "oracle": lambda c: dense_march(snerg, c)}
+    got = {"field": lambda c: render_field(field, c), "march": lambda c: render_scene(scene, c), "oracle": lambda c: dense_march(scene, c)}
     frame = got[kind](cameras[index])
     assert clear.mean() > 0.3 and (distance[clear] > 4).any() and (distance[clear] < 3).any()
     assert np.abs(frame.over() - colour)[clear].max() < 0.03
     assert np.abs(frame.depth / distance - 1)[clear].max() < 0.06  # a voxel is a 25th of the distance to the plane behind
 
 
-def test_what_no_camera_sees_is_left_out(planes):
+def test_invisible_voxels_are_culled(planes):
     field, seen, cameras = planes
-    whole = bake(field, field.domain.world_box(), (), BakeSettings(128, samples=2))
+    whole = bake(field, field.domain.world_box(), (), BakeSettings(128, supersampling=2))
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
     assert filled[1] < 0.8 * filled[0]  # behind the front plane, but for its window
     for camera in cameras:
@@ -133,8 +133,8 @@ def test_what_no_camera_sees_is_left_out(planes):
 
 
 def test_near_is_of_the_world(planes):
-    _, snerg, cameras = planes
-    frame = render_scene(replace(snerg, near=3 * FRAME.near), cameras[0])
+    _, scene, cameras = planes
+    frame = render_scene(replace(scene, near=3 * FRAME.near), cameras[0])
     assert frame.depth[np.isfinite(frame.depth)].min() > 5 * FRAME.near
 
 
@@ -157,13 +157,13 @@ def test_equation_9_is_taken_where_it_brings_rays_nearer_to_the_field(thickness,
     domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
     field = Veil(HashModelConfig(), {}, None, domain, None, 2 / 512, ndc=FRAME, thickness=thickness, density=density)
     box, cameras = field.domain.world_box(), make_forward_cameras(FRAME)[:2]
-    snerg = bake(field, box, cameras, BakeSettings(64, samples=8))
-    errors = snerg.about["bake"]["holes"]
-    assert snerg.opacity_correction is wanted and (errors["with"] < errors["without"]) is wanted
+    scene = bake(field, box, cameras, BakeSettings(64, supersampling=8))
+    errors = scene.about["bake"]["holes"]
+    assert scene.opacity_correction is wanted and (errors["with"] < errors["without"]) is wanted
     truth = render_field(field, cameras[0]).over()
     distance = {
-        fill: np.abs(render_scene(replace(snerg, opacity_correction=fill), cameras[0]).over() - truth).mean() for fill in (True, False)
+        fill: np.abs(render_scene(replace(scene, opacity_correction=fill), cameras[0]).over() - truth).mean() for fill in (True, False)
     }
     assert distance[wanted] < 0.7 * distance[not wanted]
-    assert bake(field, box, (), BakeSettings(64, samples=8)).opacity_correction  # without cameras, as in the paper
-    assert bake(field, box, cameras, BakeSettings(64, samples=8, opacity_correction=not wanted)).opacity_correction is not wanted
+    assert bake(field, box, (), BakeSettings(64, supersampling=8)).opacity_correction  # without cameras, as in the paper
+    assert bake(field, box, cameras, BakeSettings(64, supersampling=8, opacity_correction=not wanted)).opacity_correction is not wanted

@@ -13,9 +13,10 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.frame import Composited
 from snerg.core.nerf.model import ViewNetwork, view_residual
-from snerg.core.rendering.acceleration import acceleration_of, chebyshev
-from snerg.core.rendering.early_termination import excess, steepness, stop_for
-from snerg.core.rendering.render import MarchSettings, filled, march_rays, progressive, render_scene, tiled
+from snerg.core.rendering.acceleration import acceleration_of, chebyshev_distance
+from snerg.core.rendering.early_termination import premultiplied_excess, residual_bound, stop_transmittance_for
+from snerg.core.rendering.opacity import correct_opacity
+from snerg.core.rendering.render import MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
 
 ANGLES = (0.4, -0.3, 0.8)
@@ -34,9 +35,9 @@ def small_cameras(centre=CENTRE):
 @pytest.mark.parametrize("diffuse", [False, True])
 @pytest.mark.parametrize("index", range(8))
 def test_equals_the_dense_march(diffuse, index):
-    snerg = make_snerg(diffuse=diffuse, angles=ANGLES, centre=CENTRE)
+    scene = make_snerg(diffuse=diffuse, angles=ANGLES, centre=CENTRE)
     camera = small_cameras()[index]
-    got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
+    got, truth = render_scene(scene, camera), dense_march(scene, camera)
     assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
     assert np.abs(got.over() - truth.over()).max() < 1e-4
     seen = got.alpha > 0.01
@@ -57,11 +58,11 @@ def test_equals_the_dense_march_a_thousand_voxels_long(axis):
         part[..., :7] = np.rint(draw.random((*alpha.shape, 7)) * alpha[..., None])
     pose = np.eye(4)
     pose[:3, 3] = -shape / 2 / 100
-    snerg = snerg_from_volume(values, random_network(axis), grid_to_world=pose, voxel_size=0.01)
+    scene = snerg_from_volume(values, random_network(axis), grid_to_world=pose, voxel_size=0.01)
     ahead, aside = np.roll((-5.6, 0.03, 0.02), axis), np.roll((4.8, 0.6, 0.3), axis)
     for eye, target, focal in ((ahead, (0, 0, 0), 900.0), (aside, np.roll((4.9, 0, 0), axis), 30.0)):
         camera = Camera(20, 16, (focal, focal), (10, 8), looking(tuple(eye), tuple(target)))
-        got, truth = render_scene(snerg, camera), dense_march(snerg, camera)
+        got, truth = render_scene(scene, camera), dense_march(scene, camera)
         assert got.alpha.max() > 0.5
         assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
         assert np.abs(got.over() - truth.over()).max() < 1e-4
@@ -69,10 +70,10 @@ def test_equals_the_dense_march_a_thousand_voxels_long(axis):
 
 @pytest.mark.hard_case(33, 34)
 def test_composited_values_equal_the_dense_march():
-    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
     origins, directions = small_cameras()[1].rays()
-    values, through, _ = dense_rays(snerg, origins, directions, 0.0)
-    got = march_rays(snerg, origins, directions)
+    values, through, _ = dense_rays(scene, origins, directions, 0.0)
+    got = march_rays(scene, origins, directions)
     assert np.abs(got.colour - values[:, :3]).max() < 1e-4
     assert np.abs(got.features - values[:, 3:]).max() < 1e-4
     assert np.abs(got.transmittance - through).max() < 1e-4
@@ -80,32 +81,32 @@ def test_composited_values_equal_the_dense_march():
 
 @pytest.mark.hard_case(33)
 def test_skipping_changes_nothing():
-    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
     for camera in small_cameras():
-        with_skip, without = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(skip=False))
+        with_skip, without = render_scene(scene, camera), render_scene(scene, camera, MarchSettings(skip=False))
         assert np.abs(with_skip.colour - without.colour).max() < 1e-6
         assert np.abs(with_skip.alpha - without.alpha).max() < 1e-6
 
 
 @pytest.mark.hard_case(35)
 def test_a_ray_does_not_depend_on_its_batch():
-    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
     camera = small_cameras()[0]
-    whole, split = render_scene(snerg, camera), render_scene(snerg, camera, MarchSettings(batch=37, threads=1))
+    whole, split = render_scene(scene, camera), render_scene(scene, camera, MarchSettings(batch=37, threads=1))
     assert np.array_equal(whole.colour, split.colour)
     assert np.array_equal(whole.alpha, split.alpha)
-    handed = render_scene(snerg, camera, MarchSettings(batch=37, threads=3))
-    assert np.array_equal(whole.colour, handed.colour) and np.array_equal(whole.depth, handed.depth)
+    donated = render_scene(scene, camera, MarchSettings(batch=37, threads=3))
+    assert np.array_equal(whole.colour, donated.colour) and np.array_equal(whole.depth, donated.depth)
 
 
 @pytest.mark.hard_case(35)
 def test_many_rays_are_what_their_parts_are():
-    """More than are made at a time, and than one walk takes; and the samples of all are counted."""
-    snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
+    """More rays than a thread clips at once and marches together; the samples of all are counted."""
+    scene = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
     camera = make_cameras(CENTRE)[0].resized(240, 200)
-    rays = camera.rays(tiled(240, 200))
-    whole = march_rays(snerg, *rays)
-    parts = [march_rays(snerg, *(values[start : start + 6400] for values in rays)) for start in range(0, len(rays[0]), 6400)]
+    rays = camera.rays(tiled_pixels(240, 200))
+    whole = march_rays(scene, *rays)
+    parts = [march_rays(scene, *(values[start : start + 6400] for values in rays)) for start in range(0, len(rays[0]), 6400)]
     assert len(rays[0]) > 2 * 16384
     assert np.array_equal(whole.colour, np.concatenate([part.colour for part in parts]))
     assert np.array_equal(whole.depth, np.concatenate([part.depth for part in parts]))
@@ -122,16 +123,16 @@ def test_far_from_the_origin_is_the_same_picture():
 
 @pytest.mark.hard_case(31, 32)
 def test_axis_parallel_rays_through_faces_edges_and_corners_are_finite():
-    snerg = make_snerg()
-    low, high = snerg.box.size / -2, snerg.box.size / 2
+    scene = make_snerg()
+    low, high = scene.box.size / -2, scene.box.size / 2
     draw = np.random.default_rng(0)
     count = 2000
     origins = draw.choice([-3.0, 3.0, low[0], high[0], 0.0], (count, 3))
     directions = draw.choice([-1.0, 0.0, 1.0, -0.0, 1e-310], (count, 3))
     directions[np.abs(directions).max(axis=-1) < 1] = [0, 0, 1]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    got = march_rays(snerg, origins, directions)
-    truth = dense_rays(snerg, origins, np.where(np.abs(directions) < 1e-12, 0, directions), 0.0)
+    got = march_rays(scene, origins, directions)
+    truth = dense_rays(scene, origins, np.where(np.abs(directions) < 1e-12, 0, directions), 0.0)
     assert np.isfinite(got.colour).all()
     # A ray exactly in the plane of a face may be in or out by a rounding; all others must agree.
     differs = np.abs(got.transmittance - truth[1]) > 1e-4
@@ -142,18 +143,18 @@ def test_axis_parallel_rays_through_faces_edges_and_corners_are_finite():
 def test_a_slab_is_as_thick_as_it_is_in_the_world():
     values = np.zeros((60, 60, 60, 4), np.uint8)
     values[..., 3] = 26
-    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
-    got = march_rays(snerg, np.array([[0.3, 0.3, -1]]), np.array([[0.0, 0, 1]]))
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    got = march_rays(scene, np.array([[0.3, 0.3, -1]]), np.array([[0.0, 0, 1]]))
     # 60 samples a voxel apart; the first and last stand on the outer voxels' centres.
     assert got.transmittance[0] == pytest.approx((1 - 26 / 255) ** 60, rel=1e-3)
 
 
 @pytest.mark.hard_case(53)
-def test_filling_holes_is_finite_continuous_and_at_most_opaque():
+def test_opacity_correction_is_finite_continuous_and_at_most_opaque():
     alpha = np.concatenate([[0.0, 1e-30], np.linspace(1e-6, 1, 3001)]).astype(np.float32)
     colour = np.stack([alpha, 0.5 * alpha, 0 * alpha], axis=-1)
     with np.errstate(all="raise", under="ignore"):
-        got = filled(Composited(colour, colour[:, :0], 1 - alpha, 2 * alpha))
+        got = correct_opacity(Composited(colour, colour[:, :0], 1 - alpha, 2 * alpha))
     opaque = 1 - got.transmittance
     assert (got.transmittance >= 0).all() and np.abs(opaque - np.minimum(1, 1.5 * alpha)).max() < 1e-6
     assert (np.diff(opaque) > -1e-6).all() and np.diff(opaque[1:]).max() < 1e-3
@@ -165,12 +166,12 @@ def test_filling_holes_is_finite_continuous_and_at_most_opaque():
 @pytest.mark.parametrize("projection", ["orthographic", "perspective"])
 def test_a_camera_at_any_distance_reaches_the_scene(projection):
     """1e9 voxels away a distance that grows by 1 in single precision would stand still."""
-    snerg = make_snerg(shape=(34, 30, 40), diffuse=True)
+    scene = make_snerg(shape=(34, 30, 40), diffuse=True)
     frames = []
-    for distance in (10.0, 1e9 * snerg.voxel_size):
+    for distance in (10.0, 1e9 * scene.voxel_size):
         focal = 5.0 if projection == "orthographic" else 5.0 * distance
         camera = Camera(12, 12, (focal,) * 2, (6, 6), looking((0, -distance, 0), (0, 0, 0)), projection)
-        frames.append(render_scene(snerg, camera))
+        frames.append(render_scene(scene, camera))
         seen = frames[-1].alpha > 0.5
         assert seen.any() and np.abs(frames[-1].depth[seen] - distance).max() < 1.5 + 3e-7 * distance
     if projection == "orthographic":
@@ -180,27 +181,27 @@ def test_a_camera_at_any_distance_reaches_the_scene(projection):
 def test_depth_of_a_wall():
     values = np.zeros((60, 60, 60, 4), np.uint8)
     values[:, :, 30:, :] = 255
-    snerg = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=0.01)
     camera = Camera(
         3, 3, (1e3, 1e3), (1.5, 1.5), np.diag([1.0, -1, -1, 1]) + np.array([[0, 0, 0, 0.3], [0, 0, 0, 0.3], [0, 0, 0, -1], [0] * 4])
     )
-    frame = render_scene(snerg, camera)
+    frame = render_scene(scene, camera)
     assert frame.alpha[1, 1] == pytest.approx(1, abs=1e-4)
     assert frame.depth[1, 1] == pytest.approx(1.3, abs=0.011)
 
 
 @pytest.mark.hard_case(57)
 def test_an_empty_scene_is_an_empty_picture():
-    snerg = replace(empty_snerg())
-    frame = render_scene(snerg, make_cameras(width=16, height=12)[0])
+    scene = replace(empty_snerg())
+    frame = render_scene(scene, make_cameras(width=16, height=12)[0])
     assert not frame.alpha.any() and not frame.colour.any() and np.isinf(frame.depth).all()
     assert (frame.over() == 1).all()
 
 
 @pytest.mark.parametrize("diffuse", [False, True])
 def test_cells_of_floats_are_marched_as_they_are(diffuse):
-    snerg = make_snerg((44, 40, 57), diffuse)
-    floats = replace(snerg, cells=(snerg.cells / np.float32(255)).astype(np.float32) ** np.float32(1.3))
+    scene = make_snerg((44, 40, 57), diffuse)
+    floats = replace(scene, cells=(scene.cells / np.float32(255)).astype(np.float32) ** np.float32(1.3))
     for camera in small_cameras((0, 0, 0))[1:4]:
         got, truth = render_scene(floats, camera), dense_march(floats, camera)
         assert got.alpha.max() > 0.5 and np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
@@ -209,13 +210,13 @@ def test_cells_of_floats_are_marched_as_they_are(diffuse):
 
 def test_the_network_at_every_sample():
     """Table 1's ablation is another picture than the deferred one, and exact too."""
-    snerg = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
+    scene = make_snerg((44, 40, 57), angles=ANGLES, centre=CENTRE)
     for camera in small_cameras()[:4]:
-        got = render_scene(snerg, camera, MarchSettings(per_sample_network=True))
-        truth = dense_march(snerg, camera, per_sample_network=True)
+        got = render_scene(scene, camera, MarchSettings(per_sample_network=True))
+        truth = dense_march(scene, camera, per_sample_network=True)
         assert np.abs(got.over() - truth.over()).max() < 1e-4
-        assert np.abs(got.over() - render_scene(snerg, camera).over()).max() > 0.005
-        assert np.abs(got.alpha - render_scene(snerg, camera).alpha).max() < 1e-4
+        assert np.abs(got.over() - render_scene(scene, camera).over()).max() > 0.005
+        assert np.abs(got.alpha - render_scene(scene, camera).alpha).max() < 1e-4
 
 
 def random_scene(draw: np.random.Generator, diffuse: bool, opacity_correction: bool, above: bool) -> Scene:
@@ -237,12 +238,12 @@ def random_scene(draw: np.random.Generator, diffuse: bool, opacity_correction: b
 @pytest.mark.parametrize("seed", range(12))
 def test_no_pixel_is_off_by_more_than_the_tolerance(seed):
     draw = np.random.default_rng(seed)
-    snerg = random_scene(draw, diffuse=seed % 2 == 0, opacity_correction=seed % 3 == 0, above=seed % 4 == 1)
+    scene = random_scene(draw, diffuse=seed % 2 == 0, opacity_correction=seed % 3 == 0, above=seed % 4 == 1)
     camera = make_cameras(size=2.0, width=24, height=18)[seed % 5]
     for per_sample in (False, True):
-        truth = dense_march(snerg, camera, per_sample and snerg.network is not None)
+        truth = dense_march(scene, camera, per_sample and scene.network is not None)
         for tolerance in (1e-3, 0.02, 0.2):
-            frame = render_scene(snerg, camera, MarchSettings(tolerance, per_sample_network=per_sample))
+            frame = render_scene(scene, camera, MarchSettings(tolerance, per_sample_network=per_sample))
             for background in ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.2, 0.9, 0.5)):
                 error = np.abs(np.clip(frame.over(background), 0, 1) - truth.over(background)).max()
                 assert error < tolerance + ROUNDING
@@ -250,17 +251,20 @@ def test_no_pixel_is_off_by_more_than_the_tolerance(seed):
 
 def test_tolerance_follows_the_scene():
     """A network that multiplies what it is given asks for more of the ray; colours above their opacity do, too."""
-    snerg = make_snerg((34, 30, 40), fog=False)
-    mild = replace(snerg, network=ViewNetwork(*(0.01 * a for a in snerg.network)))
-    strong = replace(snerg, network=ViewNetwork(*(3 * a for a in snerg.network)))
-    stops = [stop_for(0.01, scene, False) for scene in (mild, snerg, strong)]
+    scene = make_snerg((34, 30, 40), fog=False)
+    mild = replace(scene, network=ViewNetwork(*(0.01 * a for a in scene.network)))
+    strong = replace(scene, network=ViewNetwork(*(3 * a for a in scene.network)))
+    stops = [stop_transmittance_for(0.01, scene, False) for scene in (mild, scene, strong)]
     assert 0.0098 < stops[0] <= 0.01 and stops[0] > 2 * stops[1] > 10 * stops[2]
-    bright = replace(snerg, cells=np.where(snerg.cells > 0, 255, snerg.cells[..., 7:]).astype(np.uint8))
-    assert excess(snerg) < 1.02 and excess(replace(bright, cells=bright.cells // np.array([1] * 7 + [2], np.uint8))) > 1.9
+    bright = replace(scene, cells=np.where(scene.cells > 0, 255, scene.cells[..., 7:]).astype(np.uint8))
+    assert (
+        premultiplied_excess(scene) < 1.02
+        and premultiplied_excess(replace(bright, cells=bright.cells // np.array([1] * 7 + [2], np.uint8))) > 1.9
+    )
 
 
 @pytest.mark.parametrize("network", range(5))
-def test_no_network_is_steeper_than_its_bound(network):
+def test_the_residual_changes_by_at_most_its_bound(network):
     draw = np.random.default_rng(network)
     weights = random_network(network)
     for low, high in ((np.array([-1.0] * 3 + [0.0] * 4), np.array([0.0] * 3 + [1.0] * 4)), (-np.ones(7), np.ones(7))):
@@ -268,23 +272,23 @@ def test_no_network_is_steeper_than_its_bound(network):
         towards = draw.normal(size=(4000, 3))
         towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
         here, there = (view_residual(np, weights, v[:, :3], v[:, 3:], towards) for v in (x, x + change))
-        assert np.abs(there - here).max() < 0.01 * steepness(weights, low, high)
+        assert np.abs(there - here).max() < 0.01 * residual_bound(weights, low, high)
 
 
 def test_the_first_picture_is_a_small_one_and_the_last_is_whole():
-    snerg, camera = make_snerg((34, 30, 40)), small_cameras((0, 0, 0))[1].resized(50, 37)
+    scene, camera = make_snerg((34, 30, 40)), small_cameras((0, 0, 0))[1].resized(50, 37)
     told = []
-    first, last = progressive(snerg, camera, progress=lambda fraction, what: told.append(fraction))
-    assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, render_scene(snerg, camera.resized(13, 10)).colour)
-    assert np.array_equal(last.colour, render_scene(snerg, camera).colour) and np.array_equal(last.depth, render_scene(snerg, camera).depth)
+    first, last = render_progressively(scene, camera, progress=lambda fraction, what: told.append(fraction))
+    assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, render_scene(scene, camera.resized(13, 10)).colour)
+    assert np.array_equal(last.colour, render_scene(scene, camera).colour) and np.array_equal(last.depth, render_scene(scene, camera).depth)
     assert told == sorted(told) and told[-1] == pytest.approx(1)
 
 
 def test_a_march_stops_when_it_is_told_to():
     """Within a few passes, not after the picture: the threads ask."""
-    snerg, camera = make_snerg((34, 30, 40), diffuse=True), small_cameras((0, 0, 0))[0].resized(1000, 1000)
+    scene, camera = make_snerg((34, 30, 40), diffuse=True), small_cameras((0, 0, 0))[0].resized(1000, 1000)
     began = time.perf_counter()
-    render_scene(snerg, camera)
+    render_scene(scene, camera)
     whole = time.perf_counter() - began
 
     def stop(fraction: float, what: str) -> None:
@@ -292,23 +296,23 @@ def test_a_march_stops_when_it_is_told_to():
 
     began = time.perf_counter()
     with pytest.raises(Cancelled):
-        render_scene(snerg, camera, progress=stop)
+        render_scene(scene, camera, progress=stop)
     assert time.perf_counter() - began < max(0.6 * whole, 0.2)
 
 
 def test_every_pixel_is_in_a_tile():
     for width, height in ((1, 1), (8, 8), (19, 9)):
-        pixels = tiled(width, height)
+        pixels = tiled_pixels(width, height)
         assert len(pixels) % 64 == 0 and {tuple(p) for p in pixels} == set(np.ndindex(width, height))
         assert all(np.ptp(tile, axis=0).max() < 8 for tile in pixels.reshape(-1, 64, 2))
 
 
-def test_bundles_that_nothing_holds_together_are_marched_as_well():
-    """Rays in any order: those of a bundle may have nothing in common."""
-    snerg = make_snerg(angles=ANGLES, centre=CENTRE)
+def test_packets_of_incoherent_rays_are_marched_as_well():
+    """Rays in random order: those of a packet are far apart."""
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
     origins, directions = (np.concatenate(both) for both in zip(*(c.rays() for c in small_cameras()), strict=True))
     order = np.random.default_rng(0).permutation(len(origins))[:3001]
-    mixed, plain = (march_rays(snerg, origins[order], directions[order], MarchSettings(skip=skip)) for skip in (True, False))
+    mixed, plain = (march_rays(scene, origins[order], directions[order], MarchSettings(skip=skip)) for skip in (True, False))
     assert np.abs(mixed.colour - plain.colour).max() < 1e-6 and np.abs(mixed.transmittance - plain.transmittance).max() < 1e-6
 
 
@@ -325,14 +329,14 @@ def test_chebyshev_distance():
     occupied[4, 4, 4] = True
     x, y, z = np.indices(occupied.shape)
     expected = np.maximum(np.maximum(abs(x - 4), abs(y - 4)), abs(z - 4))
-    assert np.array_equal(chebyshev(occupied, 10), expected)
-    assert chebyshev(occupied, 2).max() == 2
+    assert np.array_equal(chebyshev_distance(occupied, 10), expected)
+    assert chebyshev_distance(occupied, 2).max() == 2
 
 
 def test_visited_voxels_are_the_blocks_own():
-    snerg = make_snerg(diffuse=True)
-    visited = np.zeros(len(acceleration_of(snerg).voxels), bool)
+    scene = make_snerg(diffuse=True)
+    visited = np.zeros(len(acceleration_of(scene).voxels), bool)
     origins, directions = small_cameras((0, 0, 0))[0].rays()
-    march_rays(snerg, origins, directions, visited=visited)
+    march_rays(scene, origins, directions, visited=visited)
     cells = visited.reshape(-1, 32, 32, 32)
     assert cells.any() and cells[:, 1:-1, 1:-1, 1:-1].sum() == cells.sum()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snerg.core.baking.jitter import voxel_normal, voxel_uniform
-from snerg.core.scene.blocks import OWN, counts, fill_aprons, grow, number, pack, reach, unpack
+from snerg.core.scene.blocks import OWN_BITS, count_voxels, dilate, fill_aprons, number_blocks, pack_mask, touched_blocks, unpack_mask
 from snerg.core.scene.quantize import quantize
 
 
@@ -24,16 +24,16 @@ def blocks() -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_mask_is_packed_and_unpacked():
     own = np.random.default_rng(0).random((3, 30, 30, 30)) < 0.3
-    bits = pack(own)
-    assert bits.shape == (3, 30, 30) and not (bits & ~OWN).any() and np.array_equal(unpack(bits), own)
-    assert counts(bits).tolist() == own.sum(axis=(1, 2, 3)).tolist()
+    bits = pack_mask(own)
+    assert bits.shape == (3, 30, 30) and not (bits & ~OWN_BITS).any() and np.array_equal(unpack_mask(bits), own)
+    assert count_voxels(bits).tolist() == own.sum(axis=(1, 2, 3)).tolist()
 
 
 def test_aprons_hold_the_neighbours_voxels(blocks):
     dense, mask = blocks
     cells = np.zeros((int(mask.sum()), 32, 32, 32), np.uint8)
     cells[:, 1:-1, 1:-1, 1:-1] = split(dense, mask)
-    assert list(fill_aprons(cells, number(mask)))[-1] == len(cells)
+    assert list(fill_aprons(cells, number_blocks(mask)))[-1] == len(cells)
     padded = np.pad(dense, 1)
     for place, cell in zip(np.argwhere(mask), cells, strict=True):
         assert np.array_equal(cell, padded[tuple(slice(30 * b, 30 * b + 32) for b in place)])
@@ -48,19 +48,19 @@ def test_a_mask_grows_across_block_borders(blocks):
     whole = np.zeros_like(dense)
     for x, y, z in np.ndindex(3, 3, 3):
         whole |= padded[x : x + 90, y : y + 60, z : z + 90]
-    grown = grow(pack(split(dense, mask)), number(mask))
-    assert np.array_equal(unpack(grown), split(whole, mask))
+    grown = dilate(pack_mask(split(dense, mask)), number_blocks(mask))
+    assert np.array_equal(unpack_mask(grown), split(whole, mask))
 
 
 @pytest.mark.hard_case(34)
-def test_a_block_without_voxels_keeps_its_neighbours_tent():
+def test_a_block_without_voxels_keeps_its_neighbours_stencils():
     """A voxel is in the 32^3 of every block that it touches, over faces, edges and corners."""
     mask = np.zeros((3, 3, 3), bool)
     mask[1, 1, 1] = True
     for voxel, expected in (((29, 3, 3), 2), ((29, 0, 3), 4), ((0, 0, 29), 8), ((5, 6, 7), 1)):
         own = np.zeros((1, 30, 30, 30), bool)
         own[(0, *voxel)] = True
-        reached = reach(pack(own), number(mask))
+        reached = touched_blocks(pack_mask(own), number_blocks(mask))
         assert reached.sum() == expected and reached[1, 1, 1]
         for axis, at in enumerate(voxel):
             side = {0: 0, 29: 2}.get(at, 1)
@@ -68,8 +68,8 @@ def test_a_block_without_voxels_keeps_its_neighbours_tent():
 
 
 @pytest.mark.hard_case(45, 46, 54, 57)
-def test_empty_blocks_are_dropped_and_none_is_left_out():
-    assert not reach(np.zeros((4, 30, 30), np.uint32), number(np.ones((2, 2, 1), bool))).any()
+def test_empty_blocks_are_dropped():
+    assert not touched_blocks(np.zeros((4, 30, 30), np.uint32), number_blocks(np.ones((2, 2, 1), bool))).any()
 
 
 @pytest.mark.hard_case(51)
@@ -84,7 +84,7 @@ def test_thin_fog_keeps_its_colour(alpha):
     assert not stored[stored[:, -1] == 0].any()
 
 
-def test_jitter_belongs_to_the_voxel():
+def test_jitter_is_a_function_of_the_voxel():
     voxels = np.random.default_rng(0).integers(0, 4000, (20_000, 3))
     uniform, normal = voxel_uniform(voxels, 8, 3), voxel_normal(voxels, 2, 3)
     assert np.array_equal(voxel_uniform(voxels[7:9], 8, 3), uniform[7:9])

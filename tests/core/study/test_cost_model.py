@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import time
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
 from snerg.core.training.config import TrainSettings
 
+ROOT = Path(__file__).parents[3]
 BOX = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
 
 
@@ -63,64 +66,64 @@ def around(count: int = 8) -> tuple[Camera, ...]:
 
 
 @pytest.fixture(scope="module")
-def surveyed():
+def probed():
     pytest.importorskip("jax")
-    from snerg.core.study.field_probe import survey
+    from snerg.core.study.field_probe import probe_field
 
-    return survey(Ball(cameras=around()))
+    return probe_field(Ball(cameras=around()))
 
 
 @pytest.mark.parametrize("resolution", [100, 180])
-def test_what_is_counted_is_what_is_baked(surveyed, resolution):
+def test_what_is_counted_is_what_is_baked(probed, resolution):
     from snerg.core.study.cost_model import estimate
 
-    settings = BakeSettings(resolution=resolution, samples=1)
-    said, told = estimate(surveyed, BOX, settings), bake(surveyed.field, BOX, surveyed.field.cameras, settings).about["bake"]
+    settings = BakeSettings(resolution=resolution, supersampling=1)
+    said, told = estimate(probed, BOX, settings), bake(probed.field, BOX, probed.field.cameras, settings).about["bake"]
     assert said.held == pytest.approx(told["voxels"]["held"], rel=0.1)
     assert said.kept == pytest.approx(told["voxels"]["seen"], rel=0.25) and said.kept < 0.9 * said.held  # the inside is seen by none
     assert said.blocks == pytest.approx(told["blocks"], rel=0.25)
-    assert estimate(surveyed, BOX, replace(settings, visibility=False)).kept == said.held
-    assert said.looked == pytest.approx(surveyed.field.occupancy.sum() * (resolution / CELLS) ** 3, rel=0.1)
+    assert estimate(probed, BOX, replace(settings, visibility=False)).kept == said.held
+    assert said.looked == pytest.approx(probed.field.occupancy.sum() * (resolution / CELLS) ** 3, rel=0.1)
 
 
-def test_a_smaller_box_takes_less(surveyed):
+def test_a_smaller_box_takes_less(probed):
     from snerg.core.study.cost_model import estimate
 
-    whole = estimate(surveyed, BOX, BakeSettings(voxel_size=0.01))
-    half = estimate(surveyed, Box.axis_aligned([-1, -1, -1], [0, 1, 1]), BakeSettings(voxel_size=0.01))
+    whole = estimate(probed, BOX, BakeSettings(voxel_size=0.01))
+    half = estimate(probed, Box.axis_aligned([-1, -1, -1], [0, 1, 1]), BakeSettings(voxel_size=0.01))
     assert half.held == pytest.approx(whole.held / 2, rel=0.1) and 0.4 < half.megabytes / whole.megabytes < 0.6
     assert 0.4 < half.blocks / whole.blocks < 0.75 and half.peak_megabytes < whole.peak_megabytes and half.bake < whole.bake
-    away = estimate(surveyed, Box.axis_aligned([3, 3, 3], [4, 4, 4]), BakeSettings(voxel_size=0.01))
+    away = estimate(probed, Box.axis_aligned([3, 3, 3], [4, 4, 4]), BakeSettings(voxel_size=0.01))
     assert away.kept == away.blocks == 0 and away.megabytes == 0
 
 
-def test_what_is_left_out_is_not_counted(surveyed):
+def test_what_is_left_out_is_not_counted(probed):
     from snerg.core.study.cost_model import estimate
 
-    whole = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4))
-    matte = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, network=False))
+    whole = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4))
+    matte = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4, network=False))
     assert matte.megabytes == pytest.approx(whole.megabytes / 2) and matte.peak_megabytes < whole.peak_megabytes
-    floats = estimate(surveyed, BOX, BakeSettings(resolution=200, samples=4, quantise=False))
+    floats = estimate(probed, BOX, BakeSettings(resolution=200, supersampling=4, quantise=False))
     assert floats.peak_megabytes > whole.peak_megabytes
-    assert estimate(surveyed, BOX, BakeSettings(resolution=200, samples=8)).bake > whole.bake
-    assert 0.2 < estimate(surveyed, BOX, size=(400, 400)).preview / estimate(surveyed, BOX).preview < 0.4
+    assert estimate(probed, BOX, BakeSettings(resolution=200, supersampling=8)).bake > whole.bake
+    assert 0.2 < estimate(probed, BOX, size=(400, 400)).preview / estimate(probed, BOX).preview < 0.4
 
 
-def test_it_can_be_asked_while_a_box_is_dragged(surveyed):
+def test_it_can_be_asked_while_a_box_is_dragged(probed):
     from snerg.core.study.cost_model import estimate
 
     took = []
     for side in (2, 1.9, 1, 0.5, 0.2, 0.05, 0.02):  # however small: then a cell of the field meets thousands of blocks
         for corner in ([-1, -1, -1], [0.6, 0, 0]):
             began = time.perf_counter()
-            estimate(surveyed, Box.axis_aligned(corner, np.array(corner) + side))
+            estimate(probed, Box.axis_aligned(corner, np.array(corner) + side))
             took.append(time.perf_counter() - began)
     assert np.median(took) < 0.1 and max(took) < 0.5  # half of it is what is wanted; the machine may be busy
 
 
-def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tmp_path):
+def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(probed, tmp_path):
     from snerg.core.study.cost_model import estimate
-    from snerg.core.study.field_probe_file import check_survey, read_survey, stamp, write_survey
+    from snerg.core.study.field_probe_file import check_field_probe, read_field_probe, stamp, write_field_probe
 
     folder, path = tmp_path / "field", tmp_path / "survey.npz"
     folder.mkdir()
@@ -128,15 +131,15 @@ def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tm
     source.write_bytes(b"a field")
 
     def read():
-        return read_survey(path, stamp(folder), lambda: surveyed.field)
+        return read_field_probe(path, stamp(folder), lambda: probed.field)
 
-    check_survey(path)
+    check_field_probe(path)
     assert read() is None
-    write_survey(path, surveyed, stamp(folder))
-    check_survey(path)
+    write_field_probe(path, probed, stamp(folder))
+    check_field_probe(path)
     again = read()
     for box in (BOX, Box.axis_aligned([-1, -1, -1], [0, 1, 1])):
-        assert estimate(again, box).to_json() == estimate(surveyed, box).to_json()
+        assert estimate(again, box).to_json() == estimate(probed, box).to_json()
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     assert read() is None
@@ -144,7 +147,7 @@ def test_a_look_at_a_field_is_kept_as_long_as_the_field_is_the_same(surveyed, tm
     source.write_bytes(b"trained for longer")
     assert read() is None
     with pytest.raises(SnergError, match=r"field.npz is there already"):
-        check_survey(source)
+        check_field_probe(source)
 
 
 def test_a_folder_of_checkpoints_is_another_when_a_newer_one_is_there(tmp_path):
@@ -156,10 +159,10 @@ def test_a_folder_of_checkpoints_is_another_when_a_newer_one_is_there(tmp_path):
     assert stamp(tmp_path) not in (first, stamp(tmp_path / "checkpoint_100")) and stamp(tmp_path) == stamp(tmp_path / "checkpoint_2000")
 
 
-def test_a_length_is_none_in_device_coordinates(surveyed):
+def test_a_length_is_none_in_device_coordinates(probed):
     from snerg.core.study.cost_model import estimate
 
-    forward = replace(surveyed, field=replace(surveyed.field, ndc=make_frame()))
+    forward = replace(probed, field=replace(probed.field, ndc=make_frame()))
     with pytest.raises(SnergError, match="device coordinates"):
         estimate(forward, BOX, BakeSettings(voxel_size=0.1))
 
@@ -177,13 +180,13 @@ def test_a_training_is_so_many_steps(dataset):
 
 def test_an_empty_field_is_refused():
     pytest.importorskip("jax")
-    from snerg.core.study.field_probe import survey
+    from snerg.core.study.field_probe import probe_field
 
     with pytest.raises(SnergError, match="holds nothing"):
-        survey(Ball(occupancy=np.zeros(CELLS**3, bool)))
+        probe_field(Ball(occupancy=np.zeros(CELLS**3, bool)))
 
 
-def test_the_verb(dataset, tmp_path, capsys):
+def test_the_command(dataset, tmp_path, capsys):
     pytest.importorskip("jax")
     assert cli.main(["estimate", str(dataset), "--minutes", "1", "--json"]) == 0
     value = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -191,3 +194,24 @@ def test_the_verb(dataset, tmp_path, capsys):
     write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "scene")
     assert cli.main(["estimate", str(tmp_path / "scene")]) == 2
     assert "baked already" in capsys.readouterr().err
+
+
+def test_coefficients_are_found_again_from_what_they_estimate(probed, monkeypatch):
+    from snerg.core.study.coefficients import Coefficients
+
+    monkeypatch.syspath_prepend(ROOT / "bench")
+    fit = importlib.import_module("fit")
+    true = Coefficients(
+        occupancy_start=0.3, prefilter_factor=1.4, preview_factor=0.6, voxel_bytes_decay=0.1, process_bytes=500e6, cell_copies=2.0
+    )
+    measurements = []
+    for resolution, samples in ((64, 1), (128, 4), (256, 2), (256, 0)):
+        made = fit.Measurement(probed, BakeSettings(resolution=resolution, supersampling=samples), 0.0, 0.0, 0.0, 0.0, None).estimate(true)
+        seconds = made.seconds["start"] + made.seconds["occupancy"], made.seconds["prefilter"]
+        settings = BakeSettings(resolution=resolution, supersampling=samples)
+        measurements.append(fit.Measurement(probed, settings, *seconds, made.preview, made.megabytes, made.peak_megabytes))
+    found, counts = fit.fit(measurements)
+    assert counts["preview_factor"] == 4 and counts["prefilter_factor"] == 3 and "ray_overhead" not in counts
+    for name in vars(true):
+        assert getattr(found, name) == pytest.approx(getattr(true, name), rel=1e-3), name
+    assert "`cell_copies` | 3 | 2 (4 rows)" in fit.fit_table(found, counts)

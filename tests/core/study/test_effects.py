@@ -122,7 +122,7 @@ def test_a_scene_says_what_its_bake_measured():
     cull, samples, refine = effects["Visibility culling"], effects["Samples a voxel"], effects["Refining"]
     assert cull.decision.measured == pytest.approx(0.25) and cull.costs.startswith("2.0 seconds") and "1.3 times" in cull.saves
     clear = effects["Transparency"].decision
-    assert clear.chosen is False and clear.measured == 0.04 and "4 % of the light" in clear.evidence and "10 voxels" in clear.evidence
+    assert clear.chosen is False and clear.measured == 0.04 and "is 4 %" in clear.evidence and "10 voxels" in clear.evidence
     assert samples.decision.chosen == "2" and samples.decision.measured == pytest.approx(0.01) and "2.0 of them" in samples.saves
     assert refine.decision.measured == 0.5 and refine.costs.startswith("5.0 seconds")
     assert effects["View dependence"].decision.measured == 1.0 and "It gains." in effects["View dependence"].decision.evidence
@@ -145,7 +145,7 @@ def test_a_scene_that_says_nothing_of_its_bake():
     assert found["Visibility culling"].chosen == found["Samples a voxel"].chosen == found["Transparency"].chosen == UNKNOWN
 
 
-def test_the_verb_prints_a_table(dataset, tmp_path, capsys):
+def test_the_command_prints_a_table(dataset, tmp_path, capsys):
     write_scene(baked(make_snerg((31, 30, 33), fog=False)), tmp_path / "scene", codec=CodecSettings("jpeg", 80))
     assert cli.main(["effects", str(tmp_path / "scene")]) == 0
     out = capsys.readouterr().out

@@ -2,7 +2,7 @@
 
 import pytest
 
-from snerg.core.study.pareto import Target, choose, front
+from snerg.core.study.pareto import StudyTarget, choose, pareto_front
 
 
 def row(key, psnr, ms, megabytes):
@@ -17,9 +17,9 @@ def keys(rows):
 
 
 def test_a_row_is_on_the_front_unless_another_is_as_good_in_everything_and_better_in_one_thing():
-    assert keys(front(ROWS, "ms", "megabytes")) == ["coarse", "fine", "same", "small"]
-    assert keys(front(ROWS, "ms")) == ["coarse", "fine", "same"]
-    marked = front(ROWS, "megabytes")
+    assert keys(pareto_front(ROWS, "ms", "megabytes")) == ["coarse", "fine", "same", "small"]
+    assert keys(pareto_front(ROWS, "ms")) == ["coarse", "fine", "same"]
+    marked = pareto_front(ROWS, "megabytes")
     assert keys(marked) == ["coarse", "small", "fine", "same"]
     assert [one["psnr"] for one in marked] == sorted(one["psnr"] for one in marked)
 
@@ -27,12 +27,12 @@ def test_a_row_is_on_the_front_unless_another_is_as_good_in_everything_and_bette
 @pytest.mark.parametrize(
     ("target", "taken"),
     [
-        (Target(db=30), "small"),  # as quick as 'fine' within a twentieth, and smaller
-        (Target(db=30.8), "fine"),
-        (Target(db=20), "coarse"),
-        (Target(mb=6), "small"),  # the best that fits
-        (Target(ms=15), "coarse"),
-        (Target(mb=20, ms=40), "fine"),
+        (StudyTarget(db=30), "small"),  # as quick as 'fine' within a twentieth, and smaller
+        (StudyTarget(db=30.8), "fine"),
+        (StudyTarget(db=20), "coarse"),
+        (StudyTarget(mb=6), "small"),  # the best that fits
+        (StudyTarget(ms=15), "coarse"),
+        (StudyTarget(mb=20, ms=40), "fine"),
     ],
 )
 def test_the_cheapest_row_that_has_the_target_is_taken(target, taken):
@@ -41,7 +41,7 @@ def test_the_cheapest_row_that_has_the_target_is_taken(target, taken):
 
 
 def test_where_none_has_it_the_closest_is_told():
-    chosen, closest = choose(ROWS, Target(db=31.5, ms=39))
+    chosen, closest = choose(ROWS, StudyTarget(db=31.5, ms=39))
     assert chosen is None and closest["key"] == "fine"
-    assert choose([], Target(db=1)) == (None, None)
-    assert Target(db=31.5, mb=2.5).text() == "at least 31.5 dB, at most 2.5 MB" and not Target()
+    assert choose([], StudyTarget(db=1)) == (None, None)
+    assert StudyTarget(db=31.5, mb=2.5).text() == "at least 31.5 dB, at most 2.5 MB" and not StudyTarget()

@@ -11,11 +11,11 @@ from snerg.core.baking.bake import BakeSettings
 from snerg.core.errors import SnergError
 from snerg.core.io.images import write_png
 from snerg.core.study.machine import describe_machine
-from snerg.core.study.plan import Config, steps
-from snerg.core.study.study import digest, findings, study, write
+from snerg.core.study.plan import Configuration, plan_steps
+from snerg.core.study.study import digest, study, study_results, write_results
 
-USUAL = Config(BakeSettings(resolution=24))
-PLAN = steps(USUAL, True, True, True, ["webp", "jpeg"])
+BASELINE = Configuration(BakeSettings(resolution=24))
+PLAN = plan_steps(BASELINE, True, True, True, ["webp", "jpeg"])
 
 
 class Measured:
@@ -43,8 +43,8 @@ def reported(rows, folder):
     for name in ("truth", *(row["key"] for row in rows)):
         write_png(folder / "pictures" / f"{name}.png", draw.integers(0, 255, (20, 30, 3)).astype(np.uint8))
     about = {"path": "field", "dataset": "data", "machine": describe_machine(), "asked": {"views": 2}, "notes": []}
-    found = findings(Measured(rows), PLAN, USUAL, about, [])
-    write(found, folder)
+    found = study_results(Measured(rows), PLAN, BASELINE, about, [])
+    write_results(found, folder)
     return (folder / "report.html").read_text(), found
 
 

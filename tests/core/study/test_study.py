@@ -24,7 +24,7 @@ from snerg.core.io.images import over
 from snerg.core.rendering.render import MarchSettings, render_scene
 from snerg.core.study.machine import watched
 from snerg.core.study.metrics import psnr
-from snerg.core.study.pareto import Target
+from snerg.core.study.pareto import StudyTarget
 from snerg.core.study.plan import StudySettings
 from snerg.core.study.study import study
 from snerg.core.study.summary import difference
@@ -81,7 +81,7 @@ def test_every_row_is_measured_and_each_claim_has_one(studied):
         assert a["psnr"] < b["psnr"] or a["ms"] > b["ms"] or a["megabytes"] > b["megabytes"] or a["psnr"] == b["psnr"]
 
 
-def test_knobs_do_what_they_say(studied):
+def test_parameters_do_what_they_say(studied):
     rows = {row["key"]: row for row in json.loads((studied[0] / "study.json").read_text())["rows"] if row["config"]}
 
     def found(**wanted):
@@ -105,14 +105,14 @@ def test_a_target_is_baked_and_has_what_was_measured(studied, field, dataset):
     out, _ = studied
     rows = [row for row in json.loads((out / "study.json").read_text())["rows"] if row["config"]]
     wish = sorted(row["psnr"] for row in rows)[len(rows) // 2]
-    result = study(field, out, settings=SETTINGS, target=Target(db=wish))
+    result = study(field, out, settings=SETTINGS, target=StudyTarget(db=wish))
     assert result["psnr"] >= wish and len(read_scene(out / "scene").cells)
     config = next(row for row in rows if row["key"] == result["chosen"])["config"]
     camera = read_dataset(dataset, "test").cameras[0]
     shown = render_scene(read_scene(out / "scene"), camera, MarchSettings(**config["march"]))
     assert psnr(shown.over(), over(read_dataset(dataset, "test").read(0))) == pytest.approx(rows_of(rows, result["chosen"]), abs=0.02)
     with pytest.raises(SnergError, match=r"has at least 90 dB.* The closest has [\d.]+ dB"):
-        study(field, out, settings=SETTINGS, target=Target(db=90))
+        study(field, out, settings=SETTINGS, target=StudyTarget(db=90))
 
 
 def rows_of(rows, key):
@@ -151,9 +151,9 @@ def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
-        (lambda out: (out / "about.json").write_text('{"version": 0}'), "no study's that this version reads"),
+        (lambda out: (out / "about.json").write_text('{"version": 0}'), "of another version of studies"),
         (lambda out: (out / "about.json").write_text("{"), "about.json"),
-        (lambda out: next((out / "rows").iterdir()).write_text("[]"), "no row of a study"),
+        (lambda out: next((out / "rows").iterdir()).write_text("[]"), "not a row of a study"),
         (lambda out: (out / "about.json").unlink(), "holds other results"),
     ],
 )

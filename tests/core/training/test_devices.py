@@ -47,14 +47,15 @@ if job["processes"] > 1:
     from snerg.core.training.devices import connect
     connect(job["coordinator"], job["processes"], job["process"])
 import jax, numpy as np
+from dataclasses import replace
 from snerg.core.data.load import read_dataset
 from snerg.core.training import trainer as train
 losses = []
 advance = train.Trainer.advance
 def logged(self, *more):
-    before, self.loss = self.loss, 0.0  # so that the running mean is the step's own
+    self.state = replace(self.state, loss=0.0)  # so that the running mean is the step's own
     advance(self, *more)
-    losses.append(self.loss)
+    losses.append(self.state.loss)
 train.Trainer.advance = logged
 field = train.train(read_dataset(Path(job["dataset"])), pickle.loads(bytes.fromhex(job["settings"])), Path(job["folder"]))
 sums = hashlib.sha256(b"".join(np.asarray(a).tobytes() for a in jax.tree.leaves(field.params))).hexdigest()
@@ -86,9 +87,9 @@ def losses_of_one(dataset: Path, settings: TrainSettings) -> list[float]:
     trainer = Trainer(read_dataset(dataset), settings)
     losses = []
     while trainer.fraction() < 1:
-        trainer.loss = 0.0
+        trainer.state = replace(trainer.state, loss=0.0)
         trainer.advance()
-        losses.append(trainer.loss)
+        losses.append(trainer.state.loss)
     return losses
 
 

@@ -6,7 +6,7 @@ import pytest
 from scenes import make_cameras
 from snerg.core.nerf.sampling import CELLS, Domain, pack_samples
 from snerg.core.training.ray_dataset import RayDataset
-from snerg.core.training.termination_depth import RayEnds
+from snerg.core.training.termination_depth import TerminationDepths
 
 DOMAIN = Domain(np.zeros(3), 1.0, -np.ones(3), np.ones(3))
 
@@ -19,28 +19,28 @@ def pool() -> RayDataset:
 
 def test_every_pixel_has_a_tile_and_neighbours_share_one(pool, monkeypatch):
     monkeypatch.setattr("snerg.core.training.termination_depth.MOST_TILES", 60)
-    ends = RayEnds(pool)
-    assert ends.side == 2 and len(ends.reach) == 3 * 5 * 4
+    ends = TerminationDepths(pool)
+    assert ends.side == 2 and len(ends.depths) == 3 * 5 * 4
     tile = ends.tile(np.arange(len(pool.pixels))).reshape(3, 7, 10)
     assert np.unique(tile).tolist() == list(range(60))
     assert (tile[:, 0, 0] == tile[:, 1, 1]).all() and (tile[:, 0, 1] != tile[:, 0, 2]).all() and len(set(tile[:, 6, 9])) == 3
 
 
 def test_a_tile_keeps_the_farthest_end_and_forgets_it_slowly(pool):
-    ends = RayEnds(pool)
+    ends = TerminationDepths(pool)
     ends.learn(np.array([4, 4, 5]), np.float32([2.0, 3.0, 1.0]))
-    assert ends.reach[4:6].tolist() == [3.0, 1.0]
+    assert ends.depths[4:6].tolist() == [3.0, 1.0]
     ends.learn(np.array([4]), np.float32([2.0]))
-    assert 2.0 < ends.reach[4] < 3.0
+    assert 2.0 < ends.depths[4] < 3.0
     ends.learn(np.array([5]), np.float32([4.0]))
-    assert ends.reach[5] == 4.0
+    assert ends.depths[5] == 4.0
 
 
 def test_light_that_is_left_makes_a_tile_look_all_the_way(pool):
-    ends = RayEnds(pool)
+    ends = TerminationDepths(pool)
     ends.learn(np.array([1]), np.float32([2.0]))
     ends.learn(np.array([1, 1]), np.float32([np.inf, 2.0]))
-    assert np.isinf(ends.reach[1]) and np.isinf(ends.reach[2])
+    assert np.isinf(ends.depths[1]) and np.isinf(ends.depths[2])
 
 
 def test_packing_stops_where_it_is_told_to_and_says_so():

@@ -30,10 +30,11 @@ from snerg.core.training import view_dependence_test
 from snerg.core.training.config import TrainSettings
 from snerg.core.training.decisions import Decision
 from snerg.core.training.log import read_log
+from snerg.core.training.losses import mse_to_psnr
 from snerg.core.training.non_finite import cause
-from snerg.core.training.occupancy_sampler import Batch
-from snerg.core.training.trainer import Trainer, decibels, train
-from snerg.core.training.validation import Rays
+from snerg.core.training.sampler import Batch
+from snerg.core.training.trainer import Trainer, train
+from snerg.core.training.validation import ValidationRays
 from snerg.core.training.weight_average import EVERY
 
 FAMILY = HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
@@ -51,7 +52,7 @@ def carved_once() -> Iterator[None]:
         return domain, alive.copy()
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("snerg.core.training.trainer.hull", kept)
+        patch.setattr("snerg.core.training.prepare.hull", kept)
         yield
 
 
@@ -87,7 +88,7 @@ def test_the_loss_for_hard_surfaces_makes_light_end_sooner(views, tmp_path):
     told = []
     for hardness in (0.0, 5e-3):
         field = train(views, replace(settings, hardness=hardness), tmp_path / f"{hardness}")
-        told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, samples=1)).about["bake"])
+        told.append(bake(field, field.domain.world_box(), views.cameras, BakeSettings(64, supersampling=1)).about["bake"])
     soft, hard = told
     assert hard["light"]["voxels"] < 0.8 * soft["light"]["voxels"] and hard["light"]["passes"] < soft["light"]["passes"]
     assert hard["voxels"]["seen"] < 0.8 * soft["voxels"]["seen"]
@@ -114,9 +115,9 @@ def test_a_resumed_run_equals_an_uninterrupted_one(views, tmp_path):
 
     trainer = Trainer(views, SETTINGS)
     for _ in trainer.run():
-        if trainer.step >= 17:
+        if trainer.state.step >= 17:
             break
-    write_field(trainer.field(), tmp_path / "broken", trainer.state())
+    write_field(trainer.field(), tmp_path / "broken", trainer.arrays())
     resumed = train(views, SETTINGS, tmp_path / "broken", resume=True)
     for a, b in zip(jax.tree.leaves(whole.params), jax.tree.leaves(resumed.params), strict=True):
         assert np.array_equal(a, b)
@@ -137,10 +138,10 @@ def test_cancelling_keeps_what_was_learned(views, tmp_path):
 def test_a_step_that_is_not_finite_changes_nothing(views):
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
-    before = jax.tree.map(np.asarray, (trainer.params, trainer.moments))
-    batch = dict(trainer.scheme.batch(trainer.params, 0.0).arrays)
+    before = jax.tree.map(np.asarray, (trainer.state.params, trainer.state.moments))
+    batch = dict(trainer.prepared.sampler.batch(trainer.state.params, 0.0).arrays)
     batch["directions"] = np.full_like(batch["directions"], np.nan)
-    params, moments, (_, _, finite) = trainer._step(*jax.tree.map(jnp.asarray, before), batch, 1e-2, 5)
+    params, moments, (_, _, finite) = trainer.train_step.compiled(*jax.tree.map(jnp.asarray, before), batch, 1e-2, 5)
     assert not finite
     for a, b in zip(jax.tree.leaves(before), jax.tree.leaves((params, moments)), strict=True):
         assert np.array_equal(a, np.asarray(b))
@@ -150,18 +151,18 @@ def test_a_step_that_is_not_finite_changes_nothing(views):
 def test_training_that_breaks_stops_with_a_sentence_and_the_last_good_state(views):
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
-    good = jax.tree.map(np.asarray, trainer.params)
-    draw = trainer.scheme.batch
+    good = jax.tree.map(np.asarray, trainer.state.params)
+    draw = trainer.prepared.sampler.batch
 
     def broken(params: object, fraction: float) -> Batch:
         batch = draw(params, fraction)
         return replace(batch, arrays={**batch.arrays, "directions": batch.arrays["directions"] * np.nan})
 
-    trainer.scheme.batch = broken  # type: ignore[method-assign]
+    trainer.prepared.sampler.batch = broken  # type: ignore[method-assign]
     with pytest.raises(SnergError, match=r"5 times in a row: the rays .directions. are not finite; look for a broken pose"):
         for _ in range(12):
             trainer.advance()
-    for a, b in zip(jax.tree.leaves(good), jax.tree.leaves(trainer.params), strict=True):
+    for a, b in zip(jax.tree.leaves(good), jax.tree.leaves(trainer.state.params), strict=True):
         assert np.array_equal(a, np.asarray(b))
 
 
@@ -214,9 +215,9 @@ RUN_AND_SAVE_EACH_STEP = """
 import pickle, sys
 from pathlib import Path
 from snerg.core.data.load import read_dataset
-from snerg.core.training import trainer as train, view_dependence_test
+from snerg.core.training import saving, trainer as train, view_dependence_test
 from snerg.core.nerf.checkpoint import is_field
-train.TELL_EVERY, train.SAVE_SHARE, view_dependence_test.LEAST = 0.0, 1e9, 2
+train.TELL_EVERY, saving.SAVE_SHARE, view_dependence_test.LEAST = 0.0, 1e9, 2
 dataset, folder, settings = sys.argv[1:]
 def tell(fraction, what):
     print(what, flush=True)
@@ -257,10 +258,10 @@ def test_a_field_is_the_mean_over_the_last_steps_resumed_or_not(views, tmp_path)
     trainer, seen, halfway = Trainer(views, settings), [], {}
     while trainer.fraction() < 1:
         trainer.advance()
-        if trainer.step > 30 and trainer.step % EVERY == 0:
-            seen.append(np.asarray(trainer.params["field"]["weights_0"], np.float64))
-        if trainer.step == 45:
-            halfway = trainer.state()
+        if trainer.state.step > 30 and trainer.state.step % EVERY == 0:
+            seen.append(np.asarray(trainer.state.params["field"]["weights_0"], np.float64))
+        if trainer.state.step == 45:
+            halfway = trainer.arrays()
     last, mean = seen[-1], trainer.field().params["weights_0"]
     assert np.abs(mean - np.mean(seen, axis=0)).max() < 1e-6 < np.abs(mean - last).max()
     other = Trainer(views, settings)
@@ -275,7 +276,7 @@ def test_a_field_is_the_mean_over_the_last_steps_resumed_or_not(views, tmp_path)
 def test_the_fine_network_is_there_where_it_is_needed(views, coarse, networks):
     """The ball's rays go up to 2 through the domain: 128 samples at this spacing."""
     trainer = Trainer(views, replace(SETTINGS, sampler="hierarchical", coarse=coarse, spacing=2 / 128))
-    assert trainer.decisions[-2].chosen is (networks == 2) and ("coarse" in trainer.params) is (networks == 2)
+    assert trainer.state.decisions[-2].chosen is (networks == 2) and ("coarse" in trainer.state.params) is (networks == 2)
 
 
 def test_it_logs_as_it_goes(trained):
@@ -289,37 +290,38 @@ def test_it_logs_as_it_goes(trained):
 @pytest.mark.hard_case(27)
 def test_the_cause_of_a_broken_step_is_named(views):
     trainer = Trainer(views, SETTINGS)
-    arrays = trainer.scheme.batch(trainer.params, 0.0).arrays
-    params = jax.tree.map(np.array, trainer.params)
+    arrays = trainer.prepared.sampler.batch(trainer.state.params, 0.0).arrays
+    params = jax.tree.map(np.array, trainer.state.params)
     nan = np.float32(np.nan)
-    assert "a broken pose" in cause(trainer.scheme.loss, params, {**arrays, "directions": arrays["directions"] * nan})
-    assert "a broken image" in cause(trainer.scheme.loss, params, {**arrays, "target": arrays["target"] * nan})
+    assert "a broken pose" in cause(trainer.prepared.sampler.loss, params, {**arrays, "directions": arrays["directions"] * nan})
+    assert "a broken image" in cause(trainer.prepared.sampler.loss, params, {**arrays, "target": arrays["target"] * nan})
     for name, where in (("table_2", "the hash table"), ("weights_1", "the field's network")):
         broken = {**params, "field": {**params["field"], name: params["field"][name] * nan}}
-        assert cause(trainer.scheme.loss, broken, arrays).startswith(where)
+        assert cause(trainer.prepared.sampler.loss, broken, arrays).startswith(where)
     view = tuple(a * nan if i == 4 else a for i, a in enumerate(params["view"]))
-    assert cause(trainer.scheme.loss, {**params, "view": view}, arrays).startswith("the view-dependence network")
+    assert cause(trainer.prepared.sampler.loss, {**params, "view": view}, arrays).startswith("the view-dependence network")
     huge = {**params, "field": {**params["field"], "weights_0": np.full_like(params["field"]["weights_0"], 1e30)}}
-    assert "lower the learning rate" in cause(trainer.scheme.loss, huge, arrays)
-    assert "the step made of it" in cause(trainer.scheme.loss, params, arrays)  # nothing is wrong with any of them
+    assert "lower the learning rate" in cause(trainer.prepared.sampler.loss, huge, arrays)
+    assert "the step made of it" in cause(trainer.prepared.sampler.loss, params, arrays)  # nothing is wrong with any of them
 
 
 @pytest.mark.hard_case(27)
 def test_nothing_that_is_not_finite_reaches_the_disk(views, tmp_path):
     trainer = Trainer(views, SETTINGS)
     trainer.advance()
-    write_field(trainer.field(), tmp_path, trainer.state())
+    write_field(trainer.field(), tmp_path, trainer.arrays())
     data = (tmp_path / "field.npz").read_bytes()
-    first, second = trainer.moments
-    trainer.moments = ({**first, "field": {**first["field"], "bias_0": first["field"]["bias_0"] * jnp.nan}}, second)
+    first, second = trainer.state.moments
+    broken = {**first, "field": {**first["field"], "bias_0": first["field"]["bias_0"] * jnp.nan}}
+    trainer.state = replace(trainer.state, moments=(broken, second))
     with pytest.raises(SnergError, match="field's network"):
-        write_field(trainer.field(), tmp_path, trainer.state())
+        write_field(trainer.field(), tmp_path, trainer.arrays())
     assert (tmp_path / "field.npz").read_bytes() == data
 
 
 @pytest.mark.hard_case(30)
 def test_the_psnr_of_no_error_is_finite():
-    assert decibels(0.0) == 100 and decibels(0.01) == pytest.approx(20)
+    assert mse_to_psnr(0.0) == 100 and mse_to_psnr(0.01) == pytest.approx(20)
 
 
 def test_a_diffuse_decision_leaves_a_diffuse_field(views):
@@ -330,24 +332,24 @@ def test_a_diffuse_decision_leaves_a_diffuse_field(views):
     assert field.view == "diffuse" and field.network is None
     assert field.query(np.zeros((1, 3)))[2].shape == (1, 0)
     deferred = Trainer(views, replace(SETTINGS, view_dependence="deferred"))
-    assert deferred.field().network is not None and not deferred.undecided and not deferred.pool.withheld.any()
+    assert deferred.field().network is not None and not deferred.state.undecided and not deferred.prepared.rays.withheld.any()
 
 
 def test_once_the_scene_is_found_diffuse_the_view_network_learns_nothing(views):
     trainer = Trainer(views, SETTINGS)
-    assert trainer.pool.withheld.any()
-    trainer.params = view_dependence_test.silenced(trainer.params)
-    before = [np.array(a) for a in trainer.params["view"]]
+    assert trainer.prepared.rays.withheld.any()
+    trainer.state = replace(trainer.state, params=view_dependence_test.silenced(trainer.state.params))
+    before = [np.array(a) for a in trainer.state.params["view"]]
     for _ in range(3):
         trainer.advance()
-    assert all(np.array_equal(a, np.asarray(b)) for a, b in zip(before, trainer.params["view"], strict=True))
+    assert all(np.array_equal(a, np.asarray(b)) for a, b in zip(before, trainer.state.params["view"], strict=True))
 
 
 @pytest.mark.parametrize("degrees", [0, 2, 4])
 def test_the_view_network_sees_so_many_frequencies_of_the_direction(views, degrees):
     trainer = Trainer(views, replace(SETTINGS, view_degrees=degrees))
     trainer.advance()
-    first = np.asarray(trainer.params["view"][0])
+    first = np.asarray(trainer.state.params["view"][0])
     direction, waves, rest = first[:3], first[3:27].reshape(2, 4, 3, 16), first[27:]
     assert not waves[:, degrees:].any() and all(part.any() for part in (direction, rest, *waves[:, :degrees].reshape(-1, 3, 16)))
 
@@ -355,9 +357,9 @@ def test_the_view_network_sees_so_many_frequencies_of_the_direction(views, degre
 def test_view_dependence_is_held_against_its_own_average(views):
     """With a network that adds nothing both are the same; with one that follows the direction they are not."""
     trainer = Trainer(views, SETTINGS)
-    rays = Rays(trainer.pool, trainer.aside, 512, SETTINGS)
+    rays = ValidationRays(trainer.prepared.rays, trainer.prepared.validation_views, 512, SETTINGS)
     field = trainer.field()
-    silent = replace(field, network=ViewNetwork(*map(np.asarray, view_dependence_test.silenced(trainer.params)["view"])))
+    silent = replace(field, network=ViewNetwork(*map(np.asarray, view_dependence_test.silenced(trainer.state.params)["view"])))
     averaged, own = view_dependence_test.errors(silent, rays, views.cameras)
     assert np.allclose(averaged, own, atol=1e-9) and own.any()
     *rest, last = field.network
@@ -400,7 +402,7 @@ def test_a_forward_facing_capture_trains_in_device_coordinates(views, tmp_path):
 def test_a_damaged_training_state_is_a_sentence(views, tmp_path, name, value):
     settings = replace(SETTINGS, view_dependence="auto")
     trainer = Trainer(views, settings)
-    state = trainer.state() | {"averaged": np.array(1), name: value}
+    state = trainer.arrays() | {"averaged": np.array(1), name: value}
     write_field(trainer.field(), tmp_path, state)
     with pytest.raises(SnergError, match=r"training state|another network"):
         train(views, settings, tmp_path, resume=True)

@@ -13,7 +13,7 @@ from snerg.core.training.config import TrainSettings
 from snerg.core.training.hierarchical_sampler import HierarchicalSampler
 from snerg.core.training.occupancy_sampler import OccupancySampler
 from snerg.core.training.ray_dataset import RayDataset
-from snerg.core.training.validation import Rays
+from snerg.core.training.validation import ValidationRays
 
 SETTINGS = TrainSettings(
     family=MlpModelConfig(width=8, depth=1, degrees=1, density="relu"),
@@ -39,7 +39,7 @@ def test_rays_are_scored_over_the_background_of_the_training(name, sampler):
     """Where the field is empty it shows the background, and a picture's transparent part is that too."""
     kind = "packed" if sampler is OccupancySampler else "hierarchical"
     settings, pool = replace(SETTINGS, background=name, sampler=kind), pool_of(51)
-    rays = Rays(pool, None, 100, settings)
+    rays = ValidationRays(pool, None, 100, settings)
     assert np.abs(rays.wanted - (0.2 * np.array([200, 100, 50]) / 255 + 0.8 * np.array(SHOWN[name]))).max() < 1e-6
     params = init_params(settings.family, "diffuse", kind == "hierarchical", np.random.default_rng(0))
     for part in (params, params.get("coarse", params)):
@@ -49,5 +49,5 @@ def test_rays_are_scored_over_the_background_of_the_training(name, sampler):
 
 
 def test_opaque_pictures_are_what_they_are():
-    rays = Rays(pool_of(255), None, 50, replace(SETTINGS, background="black"))
+    rays = ValidationRays(pool_of(255), None, 50, replace(SETTINGS, background="black"))
     assert np.abs(rays.wanted - np.array([200, 100, 50]) / 255).max() < 1e-6

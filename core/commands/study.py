@@ -1,0 +1,46 @@
+"""`snerg study`: the trade-off between quality, time and bytes."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..artifact import Result
+from ..errors import needs_jax
+from ..progress import Progress
+from ..study.pareto import StudyTarget
+from ..study.plan import StudySettings
+from .command import Command
+from .options import count, path, positive
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `snerg study`."""
+    default = StudySettings()
+    parser.add_argument("source", type=path, metavar="FIELD_OR_DATASET_OR_SCENE")
+    parser.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the report; an earlier study there is continued")
+    parser.add_argument("--dataset", type=path, metavar="DATASET", help="to measure on (default: what the field was trained on)")
+    for name, kind, letter, about in (
+        ("minutes", positive, "M", "time limit of all measurements"),
+        ("resolution", count, "N", "voxels along the longest side of the baseline"),
+        ("views", count, "N", "largest number of held-out views to measure on"),
+        ("repeats", count, "N", "how often each timing is repeated"),
+    ):
+        parser.add_argument(f"--{name}", type=kind, default=getattr(default, name), metavar=letter, help=f"{about} (default: %(default)s)")
+    parser.add_argument("--box", type=path, metavar="BOX.json", help="of the bakes (default: the field's whole domain)")
+    parser.add_argument("--paper", action="store_true", help="also train fields of other kinds, for the paper's tables")
+    wanted = parser.add_argument_group("targets", "The cheapest measured configuration that meets all of them is written to DIR/scene.")
+    wanted.add_argument("--target-db", type=positive, metavar="DB", help="lowest PSNR on held-out views")
+    wanted.add_argument("--target-mb", type=positive, metavar="MB", help="most megabytes of files")
+    wanted.add_argument("--target-ms", type=positive, metavar="MS", help="most milliseconds a frame")
+
+
+def run(options: argparse.Namespace, progress: Progress) -> Result:
+    """Run `snerg study`. Raises SnergError without JAX or matplotlib."""
+    with needs_jax():
+        from ..study.study import study
+    settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box, paper=options.paper)
+    target = StudyTarget(options.target_db, options.target_mb, options.target_ms)
+    return study(options.source, options.out, options.dataset, settings, target, progress)
+
+
+COMMAND = Command("study", "measure the trade-off between quality, time and bytes, and bake what a target needs", add_options, run)

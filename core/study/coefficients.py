@@ -1,0 +1,69 @@
+"""The coefficients of the cost model, in one table: what each multiplies, its unit, and the measurements that it was fitted to.
+
+The field probe measures how fast this machine is; these coefficients relate its small measurements to a whole bake. They are the same on
+every machine. `make bench-estimate` compares estimates with measurements, and prints the values that fit them best (bench/fit.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+# bench-estimate on five fields (Lego, fern, fox, and a matte and a mirror-like scene rendered in Blender), 128 to 512 voxels along the
+# longest side with 1, 2, 4 and automatic samples a voxel, on a processor with 2 cores. Of 20 configurations the estimates of a bake's
+# time, memory and bytes were all within 25 %, and 15 of those of a preview's time.
+BENCH = "bench-estimate, five fields at 128 to 512 voxels"
+BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
+TRAININGS = "by hand from single trainings; bench-estimate does not refit it"
+
+
+def _coefficient(value: float, unit: str, meaning: str, fitted: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "meaning": meaning, "fitted": fitted})
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The table. Each field's metadata has its unit, meaning and where its default was fitted."""
+
+    occupancy_start: float = _coefficient(0.08, "s", "of the occupancy stage of a bake, whatever its size", BENCH)
+    prefilter_factor: float = _coefficient(
+        1.12, "", "time of a large prefilter stage over that of its parts in the probe: copies, and less use of caches", BENCH
+    )
+    preview_factor: float = _coefficient(
+        0.85, "", "time of a ray of a large preview over that of a ray of the probe, whose rays are further apart", BENCH
+    )
+    ray_overhead: float = _coefficient(6.0, "samples", "time of a ray apart from its samples, in times of a sample", BY_HAND)
+    sample_growth: float = _coefficient(
+        0.1, "exponent", "power of the resolution by which a sample's time grows: memory accesses are further apart", BY_HAND
+    )
+    voxel_bytes_decay: float = _coefficient(
+        0.06, "exponent", "power of the resolution by which a voxel's PNG bytes fall: neighbours are more alike", BENCH
+    )
+    process_bytes: float = _coefficient(330e6, "bytes", "memory of a bake, whatever its size", BENCH)
+    cell_copies: float = _coefficient(
+        3.0, "", "memory of a bake over the bytes of its atlas: the atlas, the file that resumes the bake, and images to store", BENCH
+    )
+    refine_seconds: float = _coefficient(2.0, "s", "of fitting the view-dependence network after its pixels are marched", BY_HAND)
+    refine_pixels: float = _coefficient(
+        1e6, "rays", "whose time fine-tuning takes: four times RefineSettings.pixels, because they are scattered over the images", BY_HAND
+    )
+    step_queries: float = _coefficient(
+        4.0, "queries", "time of a sample of a training step in queries of the field: forward, backward and the optimizer", TRAININGS
+    )
+    set_up_seconds: float = _coefficient(
+        8.0, "s", "before the first training step, apart from reading images: the visual hull and compiling", TRAININGS
+    )
+    training_bytes: float = _coefficient(750e6, "bytes", "memory of a training, whatever its images", TRAININGS)
+    pixel_bytes: float = _coefficient(8.0, "bytes", "memory of a training for each pixel of its images", TRAININGS)
+
+
+DEFAULT_COEFFICIENTS = Coefficients()
+
+
+def table(coefficients: Coefficients) -> list[tuple[str, float, str, str, str]]:
+    """(name, value, unit, meaning, where the default was fitted) of each coefficient."""
+    rows = []
+    for entry in fields(coefficients):
+        unit, meaning, fitted = (str(entry.metadata[key]) for key in ("unit", "meaning", "fitted"))
+        rows.append((entry.name, float(getattr(coefficients, entry.name)), unit, meaning, fitted))
+    return rows

@@ -1,0 +1,55 @@
+"""What every sampler of training rays offers the training loop: batches, their loss, and its own state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from .config import TrainSettings
+from .validation import ValidationRays
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What the loss of one step reads.
+
+    arrays: by name, always of the same shapes, so that the step is compiled once. samples, rays: how many of them are real, not
+    padding.
+    """
+
+    arrays: dict[str, Any]
+    samples: int
+    rays: int
+
+
+class Sampler(Protocol):
+    """A way to sample rays: `occupancy_sampler` and `hierarchical_sampler` implement it. occupied: bool [CELLS^3]."""
+
+    settings: TrainSettings
+    """The training's settings, those that were 'auto' decided."""
+    occupied: NDArray[Any]
+    """Cells of the occupancy grid that may hold something, bool [CELLS ** 3]."""
+
+    def batch(self, params: Any, fraction: float) -> Batch:
+        """The rays and samples of the next step; `fraction` in [0, 1] is how much of the training is done."""
+
+    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """(loss, aux); traced by JAX. aux holds "error", the squared colour error, and what `learn` reads.
+
+        Both are sums over the rays and samples of the batch, divided by counts that the batch holds, so that the parts of a batch
+        that is split among devices add up.
+        """
+
+    def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
+        """Update the sampler after a step from its parameters and from the loss's aux."""
+
+    def colours(self, params: Any, rays: ValidationRays, fraction: float) -> NDArray[Any]:
+        """Colours [R, 3] of validation rays over their background, sampled as training samples at this fraction."""
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """The named arrays of any shape that `restore` needs."""
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Continue from the named arrays of any shape of `state`. Raises KeyError or ValueError where they belong to another training."""

@@ -1,0 +1,98 @@
+"""Runs inside Blender's window: what pictures.py photographs. See tests/window/drive.py, which sends the events.
+
+`blender --enable-event-simulate --python picture_walk.py -- panels FOLDER FILE` writes FOLDER/STEP.png, a picture of the whole window
+for each step, and FOLDER/panels.json with the rectangles to crop to.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "window"))
+import drive
+
+STEPS = ("dataset", "field", "box", "bake", "preview", "study", "export")
+SHOWN = {"dataset": ("dataset",), "field": ("field",), "bake": ("box", "bake"), "preview": ("preview",), "export": ("export",)}
+SCALE = 1.25  # of Blender's interface: letters stay sharp in pictures of the sidebar
+SIDEBAR_WIDTH = 420  # pixels: no name is cut off
+VIEWPORT_SECONDS = 45  # for the viewport's render, by software
+VIEW_DISTANCE = 3.7  # world units from the middle of the still life: nearer than its cameras, none of which is then in the way
+
+
+def panels(window: drive.Window, file: str) -> drive.Walk:
+    """A picture of the window with the panels of each step, then one of the rendered viewport beside all panels."""
+    bpy.context.preferences.view.ui_scale = SCALE
+    bpy.context.preferences.system.use_region_overlap = False  # else the sidebar is transparent
+    yield from window.file("open_mainfile", Path(file))
+    with bpy.context.temp_override(window=window.window, area=window.view):
+        bpy.ops.screen.screen_full_area()
+    look(window)
+    yield from window.wait(1)
+    yield from window.open_sidebar()
+    yield from widen(window)
+    for name, steps in SHOWN.items():
+        show_only(steps)
+        yield from window.wait(0.5)
+        yield from window.picture(name)
+        window.seen.setdefault("crop", {})[name] = sidebar_rectangle(window)
+    show_only(STEPS)
+    window.view.spaces.active.shading.type = "RENDERED"
+    yield from window.wait(VIEWPORT_SECONDS)
+    yield from window.picture("blender")
+
+
+def look(window: drive.Window) -> None:
+    """Look at the still life from its active camera's side, with nothing selected and small cameras around it."""
+    scene, space = window.window.scene, window.view.spaces.active
+    for thing in scene.objects:
+        thing.select_set(False)
+        if thing.type == "CAMERA":
+            thing.data.display_size = 0.12
+        if thing.type == "LIGHT":
+            thing.data.cutoff_distance = 0.3  # the length of the line that is drawn; its light does not end there
+    view = space.region_3d
+    view.view_location, view.view_distance = (0, 0, 0.35), VIEW_DISTANCE
+    view.view_rotation = scene.camera.matrix_world.to_quaternion()
+    space.overlay.show_relationship_lines = space.overlay.show_text = space.overlay.show_cursor = False
+    space.show_gizmo = space.show_region_toolbar = False
+
+
+def widen(window: drive.Window) -> drive.Walk:
+    """Drag the sidebar's left edge until it is SIDEBAR_WIDTH wide."""
+    x, y = window.sidebar.x, window.sidebar.y + window.sidebar.height // 2
+    yield from window.move(x, y)
+    window.send("LEFTMOUSE", "PRESS")
+    yield
+    goal = x + window.sidebar.width - SIDEBAR_WIDTH
+    for part in range(1, 6):
+        yield from window.move(x + (goal - x) * part / 5, y)
+    window.send("LEFTMOUSE", "RELEASE")
+    yield from window.wait(0.5)
+
+
+def show_only(steps: tuple[str, ...]) -> None:
+    """Leave the panels of some steps in the sidebar."""
+    panels = {step: getattr(bpy.types, f"SNERG_PT_{step}", None) or KEPT[step] for step in STEPS}
+    KEPT.update(panels)
+    for panel in panels.values():
+        if panel.is_registered:
+            bpy.utils.unregister_class(panel)
+    for step in STEPS:
+        if step in steps:
+            bpy.utils.register_class(panels[step])
+
+
+KEPT: dict[str, type] = {}
+
+
+def sidebar_rectangle(window: drive.Window) -> list[int]:
+    """Left, top, right and bottom of the sidebar in pixels of a picture of the window."""
+    sidebar, height = window.sidebar, window.window.height
+    return [sidebar.x, height - sidebar.y - sidebar.height, sidebar.x + sidebar.width, height - sidebar.y]
+
+
+if __name__ == "__main__":
+    drive.main(sys.modules[__name__])
