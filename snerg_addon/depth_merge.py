@@ -12,12 +12,12 @@ import bpy
 
 GROUP = "SNeRG Depth Merge"
 VERSION = 1  # of the group's nodes; a group of another version is built again
-FAR = 1e9  # depths beyond are no surface: Blender's depth pass has 1e10 there
+BEFORE = 0.999  # of the depth where nothing is: surfaces are nearer than that
 FILL = 3  # pixels round a surface that take its depth: the widest pixel filter of the engines reaches 1.5
 INPAINT = 3  # pixels: from an edge pixel to the nearest whole one beyond the next, two pixels along a diagonal
 JUMP = 1.5  # a depth that changes by less than this factor more in 5 x 5 than in 3 x 3 pixels jumps; on a plane it is 2
 OPAQUE = 0.999  # alpha above is that of a pixel without background
-TINY = 1e-9  # bounds a division by the difference of two equal depths
+TINY = 1e-9  # bounds a division by the difference of two equal depths; alpha below is 0
 ROWS = 6  # nodes above each other in the group, in the order in which they are made
 INPUTS = (("Image", "Color"), ("Alpha", "Float"), ("Depth", "Float"))
 BAKED = tuple((f"Baked {name}", kind) for name, kind in INPUTS)
@@ -53,7 +53,7 @@ def build(nodes: Nodes) -> None:
     """
     get = nodes.add("NodeGroupInput").outputs
     m, b = get["Image"], get["Baked Image"]
-    ahead = nodes.math("SUBTRACT", nodes.filled(get["Baked Depth"]), nodes.filled(get["Depth"]))
+    ahead = nodes.math("SUBTRACT", nodes.filled(get["Baked Depth"], get["Baked Alpha"]), nodes.filled(get["Depth"], get["Alpha"]))
     front, nearer = nodes.front(m, get["Alpha"], ahead)
     merged = nodes.mix(nearer, nodes.over(b, m), nodes.over(front, b))
     seen = nodes.mix(1.0, get["Environment"], nodes.math("SUBTRACT", 1.0, get["Baked Alpha"]), "MULTIPLY")
@@ -139,19 +139,25 @@ class Nodes:
         self.link(value, node.inputs[0])
         return node.outputs[0]
 
-    def filled(self, depth: Any) -> bpy.types.NodeSocket:
-        """A depth pass whose surfaces reach FILL pixels beyond their edges: a pixel whose centre misses an edge still has its depth."""
+    def filled(self, depth: Any, alpha: Any) -> bpy.types.NodeSocket:
+        """A depth pass whose surfaces reach FILL pixels beyond their edges: a pixel whose centre misses an edge still has its depth.
+
+        A pixel without a surface has the depth of those round it in which nothing is: Cycles gives 1e10, EEVEE the camera's clip end.
+        """
         nearest = self.spread(depth, -FILL)
-        surface = self.math("LESS_THAN", depth, FAR)
-        return self.math("ADD", nearest, self.math("MULTIPLY", surface, self.math("SUBTRACT", depth, nearest)))
+        nothing = self.spread(self.math("MULTIPLY", depth, self.math("LESS_THAN", alpha, TINY)), FILL)
+        missed = self.math("GREATER_THAN", depth, self.math("MULTIPLY", nothing, BEFORE))
+        partial = self.math("MULTIPLY", self.math("GREATER_THAN", nothing, 0.0), self.math("LESS_THAN", alpha, OPAQUE))
+        return self.choose(self.math("MULTIPLY", missed, partial), nearest, depth)
 
     def change(self, value: Any, size: int) -> bpy.types.NodeSocket:
         """The largest less the smallest value within `size` pixels."""
         return self.math("SUBTRACT", self.spread(value, size), self.spread(value, -size))
 
     def choose(self, condition: Any, yes: Any, no: Any) -> bpy.types.NodeSocket:
-        """`yes` where the condition is 1, `no` where it is 0."""
-        return self.math("ADD", no, self.math("MULTIPLY", condition, self.math("SUBTRACT", yes, no)))
+        """`yes` where the condition is 1, `no` where it is 0; exact, as large as the two may be."""
+        otherwise = self.math("MULTIPLY", no, self.math("SUBTRACT", 1.0, condition))
+        return self.math("ADD", self.math("MULTIPLY", yes, condition), otherwise)
 
     def share_positive(self, ahead: Any) -> bpy.types.NodeSocket:
         """The share of each pixel in which a value that is linear over a pixel is positive, 0 to 1.
