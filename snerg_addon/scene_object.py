@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -85,7 +86,7 @@ def snerg_objects(layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Object]:
 
 def folder_of(thing: bpy.types.Object) -> Path:
     """The folder of an object's scene; of a linked object relative to its own file."""
-    return Path(bpy.path.abspath(thing.snerg.folder, library=thing.library))
+    return Path(os.path.abspath(bpy.path.abspath(thing.snerg.folder, library=thing.library)))
 
 
 def placed_camera(name: str, scene: Scene, matrix: np.ndarray, camera: Camera) -> tuple[Camera, float]:
