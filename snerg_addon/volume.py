@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -21,7 +22,7 @@ def add_volume(scene: bpy.types.Scene, path: Path, source: Path) -> bpy.types.Ob
         return None
     name = bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
     for child in parent.children:
-        if child.type == "VOLUME" and bpy.path.abspath(child.data.filepath) == str(path):
+        if child.type == "VOLUME" and os.path.abspath(bpy.path.abspath(child.data.filepath)) == os.path.abspath(path):
             child.data.grids.unload()  # written again
             return child
     volume = bpy.data.volumes.new(NAME)
