@@ -67,8 +67,11 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArr
 
 
 def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
-    """uint8 [H, W, 3 or 4] to [H // factor, W // factor, ...]: the mean of each square of pixels, in display space; where there
-    is alpha, colours count as much as they cover. Rows and columns that fill no square are left out."""
+    """Downscale uint8 sRGB pixels [H, W, 3 or 4] to uint8 [H // factor, W // factor, 3 or 4] with a box filter.
+
+    A result is the mean of factor x factor pixels, of the sRGB values as they are stored. With an alpha channel (straight), colours are
+    averaged with alpha as their weight. The last H % factor rows and W % factor columns are left out.
+    """
     if factor == 1:
         return pixels
     height, width = pixels.shape[0] // factor * factor, pixels.shape[1] // factor * factor

@@ -165,7 +165,10 @@ def field_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tu
 
 
 def raw_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tuple[Any, Any]:
-    """`field_outputs` with the density [N] as it is before its activation."""
+    """(raw density [N], values [N, C]): as `field_outputs`, but without the density's activation (`density_of`).
+
+    inputs: the result of `field_inputs`. params: params["field"] of `init_field`. The values have their activation.
+    """
     if isinstance(family, HashModelConfig):
         tables = [params[f"table_{i}"] for i in range(family.grid.levels)]
         hidden = xnp.maximum(hash_encode(xnp, family.grid, tables, *inputs) @ params["weights_0"] + params["bias_0"], 0)

@@ -200,14 +200,13 @@ def clip_rays(
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
-    distance [N] along the ray. cut: [R] bool, rays that `until` ends before they leave the domain."""
+    """The N samples of R rays in one list, ray after ray. Lengths are in field coordinates."""
 
-    points: NDArray[Any]
-    ray: NDArray[Any]
-    length: float
-    distance: NDArray[Any]
-    cut: NDArray[Any]
+    points: NDArray[Any]  # [N, 3] float32
+    ray: NDArray[Any]  # [N] the samples' rays, ascending
+    length: float  # spacing of the samples along a ray
+    distance: NDArray[Any]  # [N] float32, from the ray's origin
+    cut: NDArray[Any]  # [R] bool, rays that `until` cuts off before they leave the domain
 
 
 def pack_samples(
@@ -221,10 +220,12 @@ def pack_samples(
     far: float | NDArray[Any] = np.inf,
     until: float | NDArray[Any] = np.inf,
 ) -> Samples:
-    """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
+    """Sample rays at a constant spacing `length` and keep the samples in occupied cells (Mueller et al. 2022, section 5).
 
-    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts. near, far: distances between
-    which a ray sees. until: distance at which it need not look any further.
+    All lengths are in field coordinates. occupied: bool [CELLS^3]. origins, directions: [R, 3], the directions of length 1.
+    Sample i of a ray lies at the distance enter + (i + offset) * length; offset: [R] in [0, 1).
+    enter is where the ray enters the domain, but at least near; the last sample comes before it leaves the domain, before far and
+    before until. near, far, until: [R] or one float; `until` is an estimate (a termination depth), so Samples.cut marks its rays.
     """
     enter, leave = clip_rays(domain, origins, directions, near)
     leave = np.minimum(leave, far)

@@ -26,7 +26,7 @@ from .validation import ValidationRays
 UPDATE_CELLS = 2**16  # of the occupancy grid, looked at in one update
 UPDATE_EVERY = 256  # steps
 QUERY = 8192  # points a call when the density alone is asked for
-PADDING = 1e-5  # of the fine samples are spread evenly over a ray
+PADDING = 1e-5  # probability that a fine sample is drawn evenly over the ray
 
 
 class HierarchicalSampler:
@@ -222,10 +222,11 @@ def spread(random: Any) -> Any:
 
 
 def resampled(borders: Any, weights: Any, chances: Any) -> Any:
-    """Distances [R, M] distributed as weights [R, K] over intervals with borders [R, K + 1] (NeRF, section 5.2).
+    """Distances [R, M] drawn by inverse transform sampling from a piecewise constant density (NeRF, section 5.2).
 
-    chances: [R, M] in [0, 1). Of the samples a share of 1e-5 is spread over all intervals, however small the weights are
-    (hard case 15). Weights that are not finite give distances that are not, so that a step with them is skipped (hard case 16).
+    The density has weights [R, K] on intervals with borders [R, K + 1], which are distances in field coordinates. chances: [R, M], uniform
+    random numbers in [0, 1). The probability PADDING is spread evenly over the K intervals, so that each can be drawn, also where
+    all weights are 0 (hard case 15). Weights that are not finite give NaN, so that the step is skipped (hard case 16).
     """
     total = weights.sum(axis=-1, keepdims=True)
     some = ~(total <= 1e-30)  # a NaN is some

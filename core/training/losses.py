@@ -38,7 +38,10 @@ def plain_colour(name: str) -> NDArray[Any] | None:
 
 
 def shown_over(name: str) -> NDArray[Any]:
-    """The colour, float32 [3] in [0, 1], behind what a field is measured on: its training's; white where that is 'random'."""
+    """The background colour, float32 [3] in [0, 1], over which a field is evaluated.
+
+    name: the training's setting `background`. It is the colour of that name; white for 'random'.
+    """
     colour = plain_colour(name)
     return np.ones(3, np.float32) if colour is None else colour.astype(np.float32) / 255
 

@@ -136,7 +136,10 @@ def _read(path: Path, reader: Callable[[Path], T]) -> T:
 
 
 def lens_of(model: str, width: int, height: int, values: list[float], where: str) -> Lens:
-    """A camera from COLMAP's parameters. Raises SnergError that names a model which is not supported."""
+    """The lens of one of COLMAP's cameras. width, height: in pixels; values: its parameters, in COLMAP's order (lengths in pixels).
+
+    Raises SnergError, which begins with `where`, when the lens model is not supported or has another number of parameters.
+    """
     if model not in COUNTS or model in OTHERS:
         raise SnergError(f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first.")
     if len(values) != COUNTS[model]:
