@@ -40,7 +40,7 @@ def positional_encoding(xnp: Any, x: Any, degrees: int = POINT_DEGREES) -> Any:
 
 
 def trunk(xnp: Any, layers: Sequence[Dense], x: Any, degrees: int = POINT_DEGREES, skip: int = SKIP) -> tuple[Any, Any]:
-    """Positions [N, 3] through the perceptron to (raw density [N], raw other outputs [N, 7]), before activations."""
+    """Evaluate the perceptron at positions [N, 3]: (raw density [N], raw other outputs [N, 7]), before their activations."""
     inputs = positional_encoding(xnp, x, degrees)
     x = inputs
     for i, layer in enumerate(layers[:-2]):
@@ -82,7 +82,7 @@ def init_trunk(
     skip: int = SKIP,
     outputs: int = OUTPUTS,
 ) -> Trunk:
-    """A trunk to start training from; the same generator gives the same bytes."""
+    """Random initial layers of a perceptron; a generator in the same state gives the same bytes."""
     return tuple(init_dense(random, *shape) for shape in layer_shapes(width, depth, degrees, skip, outputs))
 
 

@@ -2,7 +2,7 @@
 
 Deferred, a checkpoint holds MLP_0 .. MLP_3: coarse trunk, coarse view network, fine trunk, fine view network. Without
 view directions it holds MLP_0 and MLP_1, coarse and fine, or just MLP_0 when there were no fine samples. Width, depth,
-skips and degrees of the encoding are read off the tensors' shapes. What no shape tells is taken as the reference's
+skips and degrees of the encoding are read off the tensors' shapes. What the shapes do not show is taken as the reference's
 default: degrees from 0, sines before cosines, ReLU.
 """
 

@@ -54,10 +54,12 @@ class Domain:
 
 
 def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None], radius: float) -> NDArray[Any]:
-    """Which world points [N, 3] are in the visual hull, bool [N]: seen by a camera, and inside the silhouette of each that sees them.
+    """Whether world points [N, 3] are in the visual hull, bool [N] (Laurentini 1994): at least one camera sees the point, and it lies in
+    the silhouette of every camera that sees it.
 
-    masks: a camera's silhouette [H, W] bool, or None where its image has no alpha. radius: world units round a
-    point that count with it. A point beyond a picture's edge is not judged by that picture.
+    masks: a camera's silhouette [H, W] bool, or None where its image has none; such a camera excludes no point. A camera whose picture
+    does not contain a point does not exclude it either. radius: in world units; a point is kept when the silhouette meets the
+    sphere of this radius around it.
     """
     alive = np.arange(len(points))
     seen = np.zeros(len(points), bool)
@@ -98,10 +100,10 @@ def dilated(mask: NDArray[Any], radius: int) -> NDArray[Any]:
 
 
 def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> tuple[Domain, NDArray[Any]]:
-    """(tight domain of a capture, occupancy cells in its visual hull bool [CELLS^3], z fastest).
+    """(domain, occupancy bool [CELLS^3], z fastest): the visual hull of a capture, and the smallest domain that contains it.
 
-    Carving runs twice: coarsely over the whole box for the extent of the hull, then finely over that extent.
-    An empty hull (silhouettes that do not agree) falls back to the whole box.
+    Carving runs twice: with COARSE_CELLS over the whole box for the extent of the hull, then with CELLS over that extent.
+    When the hull is empty because the silhouettes contradict each other, the domain is the whole box and every cell is occupied.
     """
     corners = box.corners()
     whole = Domain.around(corners.min(axis=0), corners.max(axis=0))
@@ -133,13 +135,16 @@ def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera],
 
 
 def cell_centres(cells: int) -> NDArray[Any]:
-    """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
+    """The centres [cells^3, 3] of the cells of a grid on [-1, 1]^3, z fastest, float64."""
     axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
     return np.asarray(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))
 
 
 def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A copy of a training's estimates: float32 of any shape, not negative, infinite where there is none. Raises ValueError."""
+    """A copy of estimates read from a training's state: float32 >= 0, of any shape `shape`, infinite where not measured.
+
+    Raises ValueError, which begins with `name`, when `value` is anything else.
+    """
     if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
         raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
     return value.copy()
@@ -158,7 +163,7 @@ class Occupancy:
 
     @classmethod
     def of_hull(cls, alive: NDArray[Any]) -> Occupancy:
-        """All that the hull allows, bool [CELLS^3], may hold something."""
+        """The occupancy grid before training: the cells of the visual hull, bool [CELLS^3], are occupied and not yet measured."""
         return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
 
     def update(self, query: Callable[[NDArray[Any]], NDArray[Any]], count: int, rng: np.random.Generator) -> None:
@@ -169,8 +174,8 @@ class Occupancy:
         self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.8 * most + 0.2 * found))
 
     def prune(self, threshold: float) -> None:
-        """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
-        whatever the field comes to hold there would be garbage."""
+        """Mark cells as empty whose upper estimate of the density is at most `threshold`. They stay empty: without samples in them the
+        field is not trained there, so its density there means nothing."""
         given_up = self.cells[self.most[self.cells] <= threshold]
         self.most[given_up] = 0
         self.cells = np.flatnonzero(self.most > 0)
@@ -183,7 +188,7 @@ class Occupancy:
 
     @property
     def occupied(self) -> NDArray[Any]:
-        """bool [CELLS^3]."""
+        """The cells that may hold something, bool [CELLS^3], z fastest."""
         return self.most > 0
 
 
@@ -251,7 +256,11 @@ def coarse_steps(
     offset: NDArray[Any],
     counts: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(ray [N], step [N]) of every step that a coarser occupancy does not rule out, in order along each ray."""
+    """(ray [N], step [N]) of the steps of rays that a coarser occupancy grid does not exclude, in order along each ray.
+
+    enter, offset, counts: [R], a ray's first distance, the offset of its steps in [0, 1) and their number. Other arguments: see
+    `pack_samples`.
+    """
     span = BLOCK * length
     blocks = -(-counts // BLOCK)
     ray = np.repeat(np.arange(len(counts)), blocks)
@@ -273,9 +282,10 @@ _coarser: dict[tuple[int, int, int], tuple[NDArray[Any], NDArray[Any]]] = {}
 
 
 def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
-    """Occupancy [n^3] in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+    """(occupancy bool [(CELLS / factor)^3] in cells `factor` times as wide, factor).
 
-    The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
+    It is dilated, so that one lookup at the middle of a ray segment of length `span` (field coordinates) finds any occupied cell that
+    the segment meets. Smaller cells exclude more, larger ones need less dilation: a cell is at most a quarter of the segment.
     """
     factor = 1
     while factor < 8 and 8 * factor / CELLS <= span:  # a cell is 2 / CELLS wide, and at most a quarter of the stretch
@@ -300,6 +310,6 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 
 
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
-    """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
+    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell."""
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
     return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])
