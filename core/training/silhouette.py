@@ -33,7 +33,7 @@ def silhouette(image: NDArray[Any], colour: NDArray[Any]) -> NDArray[Any]:
 
 
 def spread(seed: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
-    """Flood fill, 4-connected: the pixels, bool [H, W], reachable from `seed` through `allowed`, both bool [H, W].
+    """Flood fill, 4-connected: the pixels, bool [H, W], connected to `seed` by pixels of `allowed`, both bool [H, W].
 
     A pass fills whole runs of rows and then of columns, so that a few passes are enough for most outlines.
     """

@@ -70,21 +70,21 @@ def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any
 
 def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
     """(errors with the residual averaged over the cameras, errors with it as it is): squared errors [R] of a deferred field's rays."""
-    gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
-    along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)
+    gathered, transmittance = integrate(field, rays.origins, rays.directions, rays.near, rays.view_directions)
+    along = mean_distance(np, gathered[:, -1], 1 - transmittance, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
     points = points if field.ndc is None else field.ndc.to_world(points)
 
-    def shown(looking: NDArray[Any]) -> NDArray[Any]:
-        params = {"view": field.network}
-        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background))
+    def shown(directions: NDArray[Any]) -> NDArray[Any]:
+        params, towards = {"view": field.network}, directions.astype(np.float32)
+        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], transmittance, towards, rays.background))
 
-    own = shown(rays.looking)
+    own = shown(rays.view_directions)
     total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
     for camera in cameras[:: -(-len(cameras) // EYES)]:
-        looking = camera.toward(points)
-        sees = camera.shows(points) & ((looking * rays.looking).sum(axis=-1) > 0)  # not from behind: that is another surface
-        total += np.where(sees[:, None], shown(looking), 0)
+        directions = camera.toward(points)
+        sees = camera.shows(points) & ((directions * rays.view_directions).sum(axis=-1) > 0)  # not from behind: that is another surface
+        total += np.where(sees[:, None], shown(directions), 0)
         count += sees
     averaged = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], own)
     return rays.errors(averaged), rays.errors(own)
