@@ -102,7 +102,7 @@ def forward_facing(
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     angle = float(np.degrees(np.arccos(np.clip(axes @ -frame[:3, 2], -1, 1).min())))
     near, far = _depths(frame, cameras, points, bounds)
-    told = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
+    summary = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
     reasons = []
     if any(c.projection != "perspective" for c in cameras):
         reasons.append("some are orthographic")
@@ -114,12 +114,12 @@ def forward_facing(
         reasons.append("no plane in front of all cameras has the whole scene behind it")
     impossible = bool(reasons)
     if near is not None and far is not None and near > 0:
-        told += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
+        summary += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
         if far / near < DEEP:
             reasons.append("it is not deep")
     if alpha:
         reasons.append("alpha cuts it out of its background")
-    evidence = told + (f"; {' and '.join(reasons)}." if reasons else ".")
+    evidence = summary + (f"; {' and '.join(reasons)}." if reasons else ".")
     if setting == "on" and impossible:
         raise SnergError(f"These cameras cannot have normalised device coordinates: {reasons[0]}; set ndc to auto or off.")
     decision = decided("NDC", setting, not reasons, evidence, angle, FACING)

@@ -36,8 +36,8 @@ def connect(coordinator: str, processes: int, process: int) -> None:
         bound = own_address(coordinator)
         jax.distributed.initialize(coordinator, processes, process, initialization_timeout=PATIENCE, coordinator_bind_address=bound)
     except Exception as error:  # whatever it is that keeps them apart, JAX has no type of its own for it
-        told = f"Process {process} cannot join the others at {coordinator} ({_first_line(error)})"
-        raise SnergError(f"{told}; start all of them, and check the port.") from error
+        problem = f"Process {process} cannot join the others at {coordinator} ({_first_line(error)})"
+        raise SnergError(f"{problem}; start all of them, and check the port.") from error
 
 
 def own_address(coordinator: str) -> str | None:

@@ -226,12 +226,12 @@ def resume_from(trainer: Trainer, folder: Path) -> None:
 def run_to_the_end(trainer: Trainer, saver: Saver | None, progress: Progress) -> None:
     """Run the trainer; report to `progress`, and log and save with the saver."""
     known = len(trainer.state.decisions)
-    tell = progress if trainer.devices.processes == 1 else _together(trainer, progress)
+    notify = progress if trainer.devices.processes == 1 else _together(trainer, progress)
     with closing(trainer.run()) as run:  # type: ignore[type-var]
         for report in run:
-            tell(report.fraction, report.text())
+            notify(report.fraction, report.text())
             for decision in trainer.state.decisions[known:]:
-                tell(report.fraction, Note(decision.text()))
+                notify(report.fraction, Note(decision.text()))
             known = len(trainer.state.decisions)
             if saver:
                 saver.after(report)
@@ -262,10 +262,10 @@ def _together(trainer: Trainer, progress: Progress) -> Progress:
     """The progress function of one of several processes. When one is cancelled, all stop after the same step: otherwise the others would
     wait for it."""
 
-    def tell(fraction: float, what: str, /) -> None:
+    def notify(fraction: float, what: str, /) -> None:
         try:
             progress(fraction, what)
         except Cancelled:
             trainer.stopping = True
 
-    return tell
+    return notify
