@@ -16,40 +16,37 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 
 CELLS = 128  # cells of the occupancy grid along an axis (Mueller et al. 2022)
-COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the hull's extent
+COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the extent of the visual hull
 
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """x = (p - centre) * scale takes the world to the field's coordinates.
+    """The transform from the field's space (the world, or NDC) to field coordinates, x = (p - centre) * scale, and a box in these."""
 
-    centre: [3] float64 world; scale: 1 / world units; low, high: [3] float64, the part of the field's
-    coordinates that holds anything.
-    """
-
-    centre: NDArray[Any]
-    scale: float
-    low: NDArray[Any]
-    high: NDArray[Any]
+    centre: NDArray[Any]  # [3] float64, in the space
+    scale: float  # field coordinates per unit of the space
+    low: NDArray[Any]  # [3] float64, field coordinates: the lowest corner of the box outside of which the field is empty
+    high: NDArray[Any]  # [3] float64, the highest corner
 
     @classmethod
     def around(cls, low: NDArray[Any], high: NDArray[Any]) -> Domain:
-        """The domain whose longest side is [-1, 1] on the world's box `low`..`high` [3]."""
+        """The domain of the axis-aligned box from `low` [3] to `high` [3], whose longest side becomes [-1, 1]."""
         centre = (low + high) / 2
         scale = 2 / float((high - low).max())
         half = (high - low) / 2 * scale
         return cls(centre, scale, -half, half)
 
     def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
+        """Field coordinates [N, 3] float32 of points [N, 3] float64. The centre is subtracted in float64, so that points far from the
+        origin keep their precision (hard case 6)."""
         return np.asarray(((points - self.centre) * self.scale).astype(np.float32))
 
     def to_world(self, x: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] float64."""
+        """Points [N, 3] float64 of field coordinates [N, 3]; the inverse of `from_world`."""
         return np.asarray(np.asarray(x, np.float64) / self.scale + self.centre)
 
     def world_box(self) -> Box:
-        """The occupied part as a box in world axes."""
+        """The box from `low` to `high` in world units, axis-aligned."""
         return Box.axis_aligned(self.to_world(self.low), self.to_world(self.high))
 
 
@@ -80,7 +77,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
 
 
 def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
-    """Pixels that `radius` covers at the nearest of the depths, at most an eighth of the picture."""
+    """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
     if not len(depth):
         return 1
     nearest = 1.0 if camera.projection == "orthographic" else max(float(depth.min()), 1e-9)
@@ -151,10 +148,10 @@ def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray
 
 
 class Occupancy:
-    """The occupancy grid of a field in training.
+    """The occupancy grid of a field in training (Mueller et al. 2022, section 5).
 
-    cells: indices of the cells that may hold something. most: float32 [CELLS^3], a running upper estimate of the density in a cell,
-    infinite where it was never measured, 0 in empty cells.
+    cells: indices of the occupied cells. most: float32 [CELLS^3], z fastest, a running upper estimate of the density in each cell, per
+    unit of field coordinates; infinite in cells that were not measured yet, 0 in empty cells.
     """
 
     def __init__(self, most: NDArray[Any]) -> None:
@@ -182,7 +179,7 @@ class Occupancy:
 
     @staticmethod
     def points_in(cells: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-        """A random point [N, 3] float32 in each of the cells [N]."""
+        """A random point in each of the cells with indices [N]: field coordinates [N, 3] float32."""
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
