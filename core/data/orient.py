@@ -1,4 +1,4 @@
-"""Orients a capture of photographs: z up, what the cameras look at in the origin, and at a scale that suits Blender.
+"""Orients a capture of photographs: z up, the point that the cameras look at in the origin, at a scale that suits Blender.
 
 Structure from motion finds camera poses up to a similarity, so that the up direction and the scale of its world are arbitrary.
 """

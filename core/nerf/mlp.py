@@ -65,7 +65,7 @@ def mlp_field(xnp: Any, layers: Sequence[Dense], points: Any, degrees: int = POI
 def layer_shapes(
     width: int, depth: int, degrees: int = POINT_DEGREES, skip: int = SKIP, outputs: int = OUTPUTS
 ) -> tuple[tuple[int, int], ...]:
-    """Kernel shapes of a trunk: depth hidden layers of that width, then the two heads."""
+    """Kernel shapes [in, out] of a trunk: `depth` hidden layers of `width` units, then the density head and the head of the outputs."""
     encoded = 3 * (1 + 2 * degrees)
     shapes, size = [], encoded
     for i in range(depth):
@@ -87,6 +87,6 @@ def init_trunk(
 
 
 def init_dense(random: np.random.Generator, rows: int, columns: int) -> Dense:
-    """One layer: a kernel uniform as in Glorot and Bengio 2010 (JAXNeRF's choice), biases of 0."""
+    """Random initial weights of a layer [rows, columns]: uniform as in Glorot and Bengio 2010, as in JAXNeRF; biases are 0."""
     reach = np.sqrt(6 / (rows + columns))
     return Dense(random.uniform(-reach, reach, (rows, columns)).astype(np.float32), np.zeros(columns, np.float32))

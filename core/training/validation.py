@@ -27,10 +27,14 @@ Evaluate = Callable[[NDArray[Any]], Sequence[NDArray[Any]]]
 
 
 class ValidationRays:
-    """Rays of a dataset, drawn once with the settings' seed, and their true colours over the background that the field is trained over."""
+    """A fixed set of R rays of a dataset, drawn with the settings' seed, and their true colours `wanted` [R, 3] over `background` [R, 3].
+
+    origins, directions [R, 3] and near, far [R] are in field coordinates; view_directions: [R, 3] unit, world axes; offset: [R], see
+    `pack_samples`. The background is that of `losses.shown_over`.
+    """
 
     def __init__(self, ray_dataset: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
-        """views: [views] bool, those to draw from; all when None."""
+        """Draw `count` rays. views: bool [views], the views to draw from; None for all."""
         rng = np.random.default_rng(settings.seed)
         held, ray_dataset.withheld = ray_dataset.withheld, np.zeros(len(ray_dataset.ends), bool) if views is None else ~views
         index = ray_dataset.draw(count, rng)
@@ -50,7 +54,8 @@ def packed_colours(
 ) -> NDArray[Any]:
     """Colours [R, 3] of rays over their background, from packed samples.
 
-    evaluate: points [N, 3] to (density [N], values [N, C]) by the field of params, as they are trained.
+    occupied: bool [CELLS^3]; spacing: of the samples, field coordinates. evaluate: maps points [N, 3] to (density [N], values [N, C])
+    with the field's present parameters.
     """
     got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near)
     density, values = evaluate(got.points)

@@ -57,9 +57,10 @@ def set_aside(views: int) -> NDArray[Any]:
 
 
 def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any], settings: TrainSettings) -> Decision:
-    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short to tell.
+    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short (LEAST).
 
-    step: steps done. field: as trained so far, deferred. validation_views: bool [views], not trained on so far.
+    step: the number of steps done. field: the deferred field trained so far. validation_views: bool [views], the views that were not
+    trained on; rays of all views are tested where there are none.
     """
     if step < LEAST:
         return Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it.")
@@ -69,7 +70,8 @@ def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any
 
 
 def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(errors with the residual averaged over the cameras, errors with it as it is): squared errors [R] of a deferred field's rays."""
+    """The squared colour errors of a deferred field's rays: ([R] with the residual averaged over the cameras that see the point, [R] with
+    the ray's own residual)."""
     gathered, transmittance = integrate(field, rays.origins, rays.directions, rays.near, rays.view_directions)
     along = mean_distance(np, gathered[:, -1], 1 - transmittance, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
@@ -91,9 +93,10 @@ def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tup
 
 
 def judged(without: NDArray[Any], gained: NDArray[Any], views: int) -> Decision:
-    """The decision, from squared errors [R] of the same rays without and with view dependence.
+    """Decide from squared errors [R] of the same rays: `without` view dependence and with it, `gained`.
 
-    views: how many validation views the rays are of; 0 where they are training rays.
+    The field stays deferred where view dependence gains more than GAIN dB plus twice the standard error of the gain.
+    views: the number of validation views from which the rays are; 0 for training rays.
     """
     gain = 10 * np.log10(max(float(without.mean()), 1e-12) / max(float(gained.mean()), 1e-12))
     difference = without - gained
