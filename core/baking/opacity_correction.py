@@ -25,11 +25,12 @@ RAYS_PER_CAMERA = 128  # random pixels of each
 def opacity_correction_errors(
     field: Field, scene: Scene, cameras: Sequence[Camera], seed: int, tell: Callable[[float], None]
 ) -> dict[str, float]:
-    """{"with": error, "without": error}: how far a scene's rays are from the field's, with and without opacity correction.
+    """{"with": error, "without": error}: the error of the baked scene against the field, with and without opacity correction (eq. 9).
 
-    The error is the root mean square over colour and transmittance of random camera rays. `scene` itself has no correction.
-    Baking lets some light through surfaces, which eq. 9 makes up for (supplement C.3). Where the field itself is translucent, or was
-    trained to show its background, the correction makes it too opaque. tell: called with the fraction done.
+    The error is the root mean square difference of colour and transmittance, both in [0, 1], over random rays of the cameras. `scene` must
+    have no correction. Sampling at voxel resolution makes opaque surfaces partly transparent, and eq. 9 corrects that (supplement C.3).
+    Where the field itself is translucent, or was trained to show its background, the correction makes the scene too opaque.
+    tell: a function that is called with the fraction done, in [0, 1).
     """
     rng = np.random.default_rng(seed)
     values: dict[str, list[NDArray[Any]]] = {"field": [], "with": [], "without": []}

@@ -99,7 +99,10 @@ def chunk_blocks(sizes: NDArray[Any]) -> list[slice]:
 
 
 def compact_cells(cells: NDArray[Any], rows: NDArray[Any]) -> NDArray[Any]:
-    """Cells [M, ...] with the ascending numbers `rows` [K], moved to the front in place because an atlas may be too large to copy."""
+    """Move the cells `rows` [K] (ascending indices) to the front of `cells` [M, ...], in place, and return a view of them [K, ...].
+
+    In place because an atlas may be too large to copy; the other cells are overwritten.
+    """
     for to, row in enumerate(rows.tolist()):
         if to != row:
             cells[to] = cells[row]

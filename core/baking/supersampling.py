@@ -81,7 +81,8 @@ def baked_along(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Premultiplied RGB [N, K, 3] and opacity [N, K] along test rays of voxels baked with `count` points each.
 
-    start, direction: [N, 3]. Interpolated trilinearly at one sample a voxel's length, as the marcher does.
+    start, direction: [N, 3], in voxels. The baked values are interpolated trilinearly at K = TEST_RAY_VOXELS samples, one voxel's edge
+    length apart, as the ray marcher does.
     """
     points = (start[:, None] + direction[:, None] * (np.arange(TEST_RAY_VOXELS) + 0.5)[:, None]).reshape(-1, 3)
     base = np.floor(points).astype(np.int64)

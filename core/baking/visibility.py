@@ -126,9 +126,10 @@ def coarse_opacity_scene(occupied: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: N
 
 
 def refine_mask(mask: NDArray[Any], coarse: NDArray[Any], fine: NDArray[Any]) -> NDArray[Any]:
-    """A mask of coarse voxels [Mc, 30, 30] as a mask [M, 30, 30] of voxels half as large.
+    """Refine a voxel mask: each coarse voxel of [Mc, 30, 30] becomes 2^3 voxels of half the edge length in [M, 30, 30].
 
-    coarse, fine: the indirection grids int32 [bx, by, bz] of the two masks' blocks.
+    coarse, fine: int32 [bx, by, bz] indirection grids, which give the blocks of the two masks. The blocks of `fine` lie in those of
+    `coarse`.
     """
     coordinates = block_coordinates(fine)
     result = np.zeros((len(coordinates), DATA_VOXELS, DATA_VOXELS), np.uint32)

@@ -10,7 +10,11 @@ from ..nerf.checkpoint import is_field
 
 
 def check_out(out: Path, kind: str, *sources: Path) -> None:
-    """Raise SnergError when a result of `kind` cannot be written to `out`, or would replace one of `sources`, a dataset or a field."""
+    """Check that a result of `kind` ('field', 'scene', 'page', ...) may be written to the folder `out`.
+
+    Raises SnergError when `out` is one of `sources` or contains one, when it is a file or a folder that SNeRG did not write, and when it
+    holds a dataset or a field and `kind` is another.
+    """
     there = out.resolve()
     for source in sources:
         other = source.resolve()

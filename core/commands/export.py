@@ -27,7 +27,10 @@ def export_reference(scene: Path, out: Path, progress: Progress = silent) -> Res
 
 
 def published(scene: Path) -> Scene:
-    """The baked scene at a path. Raises SnergError where one of its files is a link to another folder."""
+    """Read a baked scene to be published, in any format: a scene's folder, a web page's, or a reference scene's.
+
+    Raises SnergError when it cannot be read, or one of its files is a link to another folder, whose contents must not be published.
+    """
 
     def read() -> Scene:
         for folder in (scene, scene / "scene"):  # a folder of ours, a web page's

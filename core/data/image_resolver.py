@@ -16,9 +16,10 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG", ".exr", ".webp", "
 
 
 def find_image(root: Path, name: str, where: str) -> Path | None:
-    """The image `name` in `root`, given with or without its suffix; None when there is none.
+    """The path of the image `name`, which is relative to `root`; None when there is no such file.
 
-    Raises SnergError when it is outside `root`, so that a dataset cannot name others' files (hard case 62).
+    A file of exactly that name comes first; then each of SUFFIXES is appended to the name.
+    Raises SnergError, which begins with `where`, when the path leads out of `root`: a dataset must not read other files (hard case 62).
     """
     name = name.replace("\\", "/")
     for suffix in ("", *SUFFIXES):

@@ -48,7 +48,7 @@ def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
 
 
 def _dataset(source: Source, split: str, options: DatasetOptions, similarity: NDArray[Any]) -> Dataset:
-    """One split of a source that stands upright; similarity [4, 4] took it there from the source's own world."""
+    """One split of an oriented source; similarity: [4, 4], from the source's original world to the oriented one."""
     chosen, names = _split(source, split, options)
     return Dataset(
         root=source.root,
@@ -68,13 +68,16 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
 
 
 def _reduced(view: View, factor: int) -> View:
-    """A reader's view, whose camera has its image's size, with the pixels that training sees."""
+    """A view whose camera has its image's size, changed to the size reduced by `factor` at which the image is trained on."""
     camera = view.camera
     return replace(view, camera=camera.reduced(factor), factor=factor, image_size=(camera.width, camera.height))
 
 
 def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
-    """What the reader of its format finds at `path`. Raises SnergError as `read_dataset` does."""
+    """Read the dataset at `path` with the reader of its format: transforms, LLFF or COLMAP, tried in this order.
+
+    The result is in the source's own world, not oriented. Raises SnergError when no reader recognises it, or as the reader does.
+    """
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
     if transforms.is_transforms(path):

@@ -1,4 +1,4 @@
-"""Orients a capture of photographs: z up, what the cameras look at in the origin, and at a scale that suits Blender.
+"""Orients a capture of photographs: z up, the point that the cameras look at in the origin, at a scale that suits Blender.
 
 Structure from motion finds camera poses up to a similarity, so that the up direction and the scale of its world are arbitrary.
 """
@@ -92,10 +92,12 @@ def upright(up: NDArray[Any], axes: NDArray[Any]) -> NDArray[Any]:
 
 
 def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: NDArray[Any] | None) -> NDArray[Any]:
-    """The point [3] that the cameras look at, float64.
+    """The point [3] that the cameras look at, float64, in world units.
 
-    It is nearest to their optical axes (see `focus`); for forward-facing cameras it lies in front of them, at the median depth of
-    the points, or at the mean disparity of the median bounds [V, 2].
+    points: [N, 3] of the scene; bounds: [V, 2], nearest and farthest depth in each view; None where the dataset has none.
+    For forward-facing cameras the point lies on their mean optical axis, at a depth from their mean position: the median depth of the
+    points in front of it; without such points, the depth whose disparity (1 / depth) is the mean disparity of the median bounds.
+    For other cameras, and with neither points nor bounds, it is the point nearest to their optical axes (see `focus`).
     """
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     mean = axes.mean(axis=0)

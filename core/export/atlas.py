@@ -35,9 +35,11 @@ def slice_count(blocks: tuple[int, int, int]) -> int:
 
 
 def atlas_slices(cells: NDArray[Any], blocks: tuple[int, int, int]) -> Iterator[NDArray[Any]]:
-    """The slices of an atlas, in Z order: each uint8 [4 * height, width, C], height and width of the atlas in voxels.
+    """Yield the slices of an atlas in order of z. A slice is 4 planes of constant z, one below another: uint8 [4 * height, width, C].
 
-    cells: uint8 [M, 32, 32, 32, C]. blocks: cells along x, y and z; cell i lies at (i % bx, i // bx % by, i // (bx * by)).
+    width and height are the atlas's extents along x and y in voxels; a row of the slice has constant y.
+    cells: uint8 [M, 32, 32, 32, C], indexed x, y, z. blocks: (bx, by, bz), cells along x, y and z; cell i lies at
+    (i % bx, i // bx % by, i // (bx * by)), and places past the last cell are 0.
     """
     bx, by, bz = blocks
     n, c = CELL_VOXELS, cells.shape[-1]

@@ -188,9 +188,10 @@ class Camera:
 
 
 def focal_from_angle(angle: float, pixels: int, where: str) -> float:
-    """Focal length in pixels of a field of view in radians across `pixels`.
+    """The focal length in pixels of a pinhole camera whose field of view is `angle` radians across `pixels` pixels.
 
-    Raises SnergError unless 0 < angle < pi, where the focal length is finite and above 0 (hard case 4).
+    Raises SnergError, which begins with `where`, when the angle is not between 1e-6 and pi - 1e-6: outside, the focal length would not
+    be a finite number above 0 (hard case 4).
     """
     if not (math.isfinite(angle) and 1e-6 < angle < math.pi - 1e-6):
         raise SnergError(f"{where} has a field of view of {angle} radians; it must lie between 0 and pi.")

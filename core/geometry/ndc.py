@@ -122,12 +122,14 @@ class Ndc:
 def space_rays(
     ndc: Ndc | None, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float = 0.0
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """World rays (origins and unit directions [N, 3], near [N] or a float >= 0) to (origins, unit directions, near, far) in space.
+    """Convert world rays to the space in which the field is sampled: NDC, or the world where `ndc` is None.
 
+    origins, directions: [N, 3], the directions of length 1. near: [N] or one float >= 0, distance in world units at which a ray begins.
+    Returns (origins [N, 3], unit directions [N, 3], near [N], far [N]), float64, lengths in units of that space.
     Without NDC the rays are unchanged, and far is infinite. With NDC a ray begins at the near plane, or at `near` where that is
-    farther, so that its near is 0; its far is at infinity, z' = 1. A ray that is parallel to the near plane or points away from it
-    misses (hard case 9): its far equals its near, and it begins beyond every box that ends near z' = 1 and points away from it.
-    Returns [N, 3], [N, 3], [N], [N], float64, all finite but for far without NDC.
+    farther, so that its near is 0; its far is the distance to z' = 1, which is infinity in the world. A ray that is parallel to the
+    near plane or points away from it sees nothing (hard case 9): its far equals its near, and its origin and direction are chosen
+    so that it meets no box that ends near z' = 1. All results are finite, except far without NDC.
     """
     if ndc is not None:
         return ndc.rays(origins, directions, near)

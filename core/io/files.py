@@ -145,7 +145,8 @@ def new_folder(path: Path) -> Iterator[Path]:
 def put_in_place(new: Path, path: Path, keep: Path | None = None) -> None:
     """Move the finished folder `new` to `path`, in one step where the system has one (see new_folder).
 
-    The previous folder at `path` is moved to `keep`, where it replaces a folder with MARK, or is deleted if `keep` is None.
+    The previous folder at `path` is moved to `keep`; a folder that SNeRG wrote at `keep` is deleted first. The previous folder is
+    deleted if `keep` is None or the move to `keep` fails.
     Raises SnergError when `path` cannot be replaced; `new` and `path` are then unchanged.
     """
     path = Path(os.path.realpath(path))

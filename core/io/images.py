@@ -20,10 +20,10 @@ from .files import write_bytes
 from .guard import check_file, reading, why
 
 MAX_PIXELS = 2**27  # of an image: more than any camera has, too few for a small file to fill the memory (hard case 61)
-FLAT_PIXELS = 2**24  # of an image whatever its size in bytes
-FLAT_MASK = 2**26  # of a mask whatever its size in bytes: it has one channel and may be white throughout
-PIXELS_PER_BYTE = 256  # of larger images: an empty 8-bit RGBA PNG has 250, others have fewer
-MAX_BYTES = 2**31
+FLAT_PIXELS = 2**24  # pixels that an image may have however small its file is
+FLAT_MASK = 2**26  # the same for a mask, which has one channel and may be white everywhere
+PIXELS_PER_BYTE = 256  # pixels per byte of file that larger images may have: a PNG of one RGBA colour has 250, others have fewer
+MAX_BYTES = 2**31  # of an image's file
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
@@ -38,10 +38,10 @@ def read_size(path: Path) -> tuple[int, int]:
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """A picture as uint8 [H, W, 3 or 4], sRGB, straight alpha.
+    """Read an image as uint8 [H, W, 3 or 4], sRGB, with straight alpha where the file has alpha.
 
-    16 bits a channel are rounded to 8. OpenEXR is linear with premultiplied alpha and is brought to sRGB and straight alpha.
-    Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or needs OpenImageIO where there is none.
+    16-bit channels are rounded to 8 bits. OpenEXR, which is linear with premultiplied alpha, is converted.
+    Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or is OpenEXR and OpenImageIO is not installed.
     """
     if path.suffix.lower() in LINEAR:
         return _Linear(path).read()
@@ -53,9 +53,10 @@ def read_image(path: Path) -> NDArray[Any]:
 
 
 def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArray[Any]:
-    """A mask as bool [height, width]: where it is white throughout the pixel, with `hides` where it is black throughout.
+    """Read a mask and resize it to the image's size: bool [height, width], True for pixels to use.
 
-    Raises SnergError as `read_image` does, and when its sides are in another proportion.
+    A pixel is used where all of the mask's pixels that it covers are white (grey level 128 or more); with `hides`, where all are black.
+    Raises SnergError as `read_image` does, and when the mask's aspect ratio is not the image's.
     """
     with _open(path, FLAT_MASK) as image:
         if abs(image.width * height - image.height * width) > 0.02 * image.width * height + 2 * max(image.size):
@@ -67,8 +68,11 @@ def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArr
 
 
 def reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
-    """uint8 [H, W, 3 or 4] to [H // factor, W // factor, ...]: the mean of each square of pixels, in display space; where there
-    is alpha, colours count as much as they cover. Rows and columns that fill no square are left out."""
+    """Downscale uint8 sRGB pixels [H, W, 3 or 4] to uint8 [H // factor, W // factor, 3 or 4] with a box filter.
+
+    A result is the mean of factor x factor pixels, of the sRGB values as they are stored. With an alpha channel (straight), colours are
+    averaged with alpha as their weight. The last H % factor rows and W % factor columns are left out.
+    """
     if factor == 1:
         return pixels
     height, width = pixels.shape[0] // factor * factor, pixels.shape[1] // factor * factor
@@ -84,7 +88,7 @@ def damaged(path: Path, error: Exception | str) -> SnergError:
 
 
 def _deep(path: Path, image: Image.Image) -> NDArray[Any]:
-    """Greys of more than 8 bits, uint8 [H, W, 3]."""
+    """A grey image of 16 bits as uint8 [H, W, 3], rounded to nearest. Raises SnergError when values are not in 0..65535."""
     values = np.asarray(image)
     if image.mode == "F" or values.min() < 0 or values.max() > 65535:
         raise SnergError(f"The image {path} has {image.mode!r} values, whose range is not known; write it as PNG or OpenEXR.")
@@ -93,8 +97,11 @@ def _deep(path: Path, image: Image.Image) -> NDArray[Any]:
 
 
 def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Image:
-    """Open a picture, its size checked. header: only that is read; else all bytes of the file first, because decoders ask for as many
-    as the file says that a part of it has, which may be gigabytes."""
+    """Open an image with Pillow and check its size. Raises SnergError as `read_image` does.
+
+    header: read the header alone. Otherwise the whole file is read first: a decoder that reads from the file allocates as many bytes as
+    the file states for a part of itself, which may be gigabytes.
+    """
     size = _check_image_file(path)
     try:
         with warnings.catch_warnings():
@@ -111,7 +118,11 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
 
 
 def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:
-    """Raise SnergError when a header says more than MAX_PIXELS, nothing, or more than `size` bytes can show (hard case 61)."""
+    """Check the size in pixels that an image's header states.
+
+    size: bytes of the file, None where unknown. Raises SnergError when the image has no pixels, more than MAX_PIXELS, or more than both
+    `flat` and PIXELS_PER_BYTE * size, which no file of that many bytes can hold (hard case 61).
+    """
     if not 0 < width * height <= MAX_PIXELS or width < 1:
         raise SnergError(f"The image {path} says that it is {width} x {height} pixels; the most is {MAX_PIXELS} in all.")
     if size is not None and width * height > max(flat, PIXELS_PER_BYTE * size):
@@ -119,14 +130,14 @@ def check_size(path: Path, width: int, height: int, size: int | None = None, fla
 
 
 def _check_image_file(path: Path) -> int:
-    """Bytes of an image's file. Raises SnergError where there is none, or no regular one."""
+    """The size of an image's file in bytes. Raises SnergError when it does not exist, is not a regular file or is above MAX_BYTES."""
     if not path.exists():
         raise SnergError(f"The image {path} does not exist; put it there or take it out of the dataset.")
     return check_file(path, MAX_BYTES)
 
 
 class _Linear:
-    """An OpenEXR picture: linear light, premultiplied alpha."""
+    """An OpenEXR image: linear values with premultiplied alpha."""
 
     def __init__(self, path: Path) -> None:
         """Reads the header. Raises SnergError as `read_image` does."""
@@ -150,7 +161,8 @@ class _Linear:
         return file
 
     def _choose(self, names: list[str]) -> list[int]:
-        """The numbers of R, G, B and, if there is one, A; of the combined pass where a file of Blender's has several, or of grey."""
+        """The indices of the channels R, G, B and, if there is one, A: those without a prefix, else those of Blender's pass Combined, else
+        the grey channel Y three times. Raises SnergError when there are none of these."""
         for prefix in ("", *sorted({n.rpartition(".")[0] + "." for n in names if n.rpartition(".")[0].endswith("Combined")})):
             if all(prefix + c in names for c in "RGB"):
                 return [names.index(prefix + c) for c in "RGBA" if prefix + c in names]
@@ -174,7 +186,7 @@ class _Linear:
         return to_uint8(display_referred(self._framed(values)))
 
     def _framed(self, values: NDArray[Any]) -> NDArray[Any]:
-        """What is stored, in the place that it has in the whole picture; nothing round it."""
+        """The whole image [H, W, C] from its data window: values outside the data window are 0."""
         (width, height), (x, y) = self.size, self.corner
         if values.shape[:2] == (height, width) and (x, y) == (0, 0):
             return values
@@ -201,7 +213,10 @@ def _open_image_io(path: Path) -> Any:
 
 
 def display_referred(values: NDArray[Any]) -> NDArray[Any]:
-    """Linear premultiplied float32 [..., 3 or 4] to sRGB with straight alpha, in [0, 1] (hard case 8)."""
+    """Convert linear premultiplied float32 [..., 3 or 4] to sRGB with straight alpha, clipped to [0, 1].
+
+    Colours are divided by alpha before the sRGB curve, which is not linear (hard case 8).
+    """
     colour = values[..., :3]
     if values.shape[-1] == 3:
         return linear_to_srgb(np.clip(colour, 0, 1))
@@ -230,7 +245,10 @@ def to_uint8(colour: NDArray[Any]) -> NDArray[Any]:
 
 
 def over(image: NDArray[Any], background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> NDArray[Any]:
-    """uint8 [..., 3 or 4] with straight alpha to float32 [..., 3] over a colour, in display space (hard case 8)."""
+    """Composite uint8 sRGB [..., 3 or 4] with straight alpha over a background colour: float32 [..., 3] in [0, 1].
+
+    The sRGB values are blended as they are stored, as the renderer and the reference do, not in linear light (hard case 8).
+    """
     colour = image[..., :3].astype(np.float32) / 255
     if image.shape[-1] == 3:
         return colour
@@ -239,10 +257,10 @@ def over(image: NDArray[Any], background: tuple[float, float, float] = (1.0, 1.0
 
 
 def srgb_to_linear(colour: NDArray[Any]) -> NDArray[Any]:
-    """IEC 61966-2-1, elementwise."""
+    """Convert sRGB in [0, 1] to linear light, elementwise (IEC 61966-2-1)."""
     return np.where(colour <= 0.04045, colour / 12.92, ((np.maximum(colour, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def linear_to_srgb(colour: NDArray[Any]) -> NDArray[Any]:
-    """IEC 61966-2-1, elementwise; below 0 stays linear."""
+    """Convert linear light to sRGB, elementwise (IEC 61966-2-1); values below 0 stay on its linear part."""
     return np.where(colour <= 0.0031308, colour * 12.92, 1.055 * np.maximum(colour, 0.0031308) ** (1 / 2.4) - 0.055)

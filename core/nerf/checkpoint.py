@@ -1,4 +1,4 @@
-"""A field on disk: a folder with field.npz, which holds arrays and one JSON text, and no pickles."""
+"""Writes and reads a field's folder. Its field.npz holds arrays and one JSON text; pickled data is refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FORMAT = "snerg-field"
 VERSION = 3
 FAMILIES: dict[type, str] = {HashModelConfig: "HashFamily", MlpModelConfig: "MlpFamily"}  # as files name them
 MAX_BYTES = 2**31
-LARGEST = 1e9  # of a network's weights: products of several layers stay finite in float32
+LARGEST = 1e9  # bound on a network's weights: products of several layers stay finite in float32
 MAX_WIDTH = 2**13
 GRID_LIMITS = {"levels": 32, "coarsest": 2**14, "finest": 2**14, "features": 16, "log2_size": 28}
 MLP_LIMITS = {"width": (1, MAX_WIDTH), "depth": (1, 64), "skip": (1, 2**16), "degrees": (0, 32)}
@@ -67,7 +67,7 @@ def write_field(field: Field, folder: Path, state: dict[str, NDArray[Any]] | Non
 
 
 def is_field(path: Path) -> bool:
-    """Whether a folder looks like one that `write_field` wrote."""
+    """Whether the folder contains a field.npz; its contents are not checked."""
     return (path / FILE).is_file()
 
 
@@ -143,8 +143,10 @@ def check_params(params: dict[str, NDArray[Any]], family: ModelConfig, view: str
 
 
 def param_shapes(family: ModelConfig, view: str, params: dict[str, NDArray[Any]]) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the arrays that `flatten` returns for such a field. params: arrays of any shape, which tell whether a diffuse
-    field has features."""
+    """Names and shapes of the arrays that `flatten` returns for a field of this family and view dependence.
+
+    params: the field's arrays of any shape; their last layer shows whether a diffuse field has features.
+    """
     last = params.get("bias_1" if isinstance(family, HashModelConfig) else f"{family.depth + 1:02d}.bias")
     outputs = {"sample": family.width}.get(view, 3 + FEATURES)
     if view == "diffuse" and last is not None and last.size < 1 + outputs:
@@ -167,7 +169,10 @@ def param_shapes(family: ModelConfig, view: str, params: dict[str, NDArray[Any]]
 
 
 def read_family(value: dict[str, Any]) -> ModelConfig:
-    """From asdict of a family and its class's name."""
+    """A model's configuration from its JSON value: the fields of the class, and a name of FAMILIES as "kind".
+
+    Raises ValueError or KeyError when the value is anything else.
+    """
     value = dict(value)
     kind = value.pop("kind")
     if kind == FAMILIES[HashModelConfig]:
@@ -189,7 +194,7 @@ def flatten(params: Any) -> dict[str, NDArray[Any]]:
 
 
 def unflatten(arrays: dict[str, NDArray[Any]], family: ModelConfig) -> Any:
-    """The parameters whose `flatten` these named arrays of any shape are."""
+    """The inverse of `flatten`: a field's parameters from named arrays of any shape."""
     if isinstance(family, HashModelConfig):
         return arrays
     return tuple(Dense(arrays[f"{i:02d}.kernel"], arrays[f"{i:02d}.bias"]) for i in range(len(arrays) // 2))

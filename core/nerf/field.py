@@ -1,4 +1,4 @@
-"""A trained or imported deferred NeRF, and how to ask it for values."""
+"""A trained or imported NeRF, and its evaluation at points."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .model import ModelConfig, ViewNetwork, field_inputs, field_outputs
 from .sampling import Domain, cell_index
 from .shading import sample_values
 
-CHUNK = 16384  # points a call: one compiled shape, and temporaries that stay in reach of the caches
+CHUNK = 16384  # points evaluated together: one compiled shape, and temporaries that fit in the processor's caches
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,10 @@ class Field:
         return lambda x: outputs(params, inputs(x))
 
     def evaluate(self, x: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Field coordinates [N, 3] float32 to (density [N] per unit of them, RGB and features [N, 7]); no mask (JAX).
+        """(density [N] per unit of field coordinates, values [N, C]) at field coordinates [N, 3] float32; see `field_outputs`. Needs JAX.
 
-        A diffuse field may have no features: [N, 3].
+        The values are RGB and features [N, 7], RGB alone [N, 3] where a diffuse field has no features. The occupancy is not applied.
+        Raises SnergError when a result is not finite.
         """
         density, values = in_chunks(self._compiled, x)
         return self._finite(density, values)
@@ -82,17 +83,18 @@ class Field:
         return lambda x: compiled(params, inputs(x[:, :3]), x[:, 3:])
 
     def seen(self, x: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """`evaluate`, with values as they are composited along unit directions [N, 3] of the world: RGB [N, 3] where view
-        dependence is a sample's own ('sample', 'tiny')."""
+        """`evaluate` with the values that are composited along unit view directions [N, 3] in world axes (see `sample_values`): RGB [N, 3]
+        where view dependence is per sample ('sample', 'tiny')."""
         if self.view not in ("sample", "tiny"):
             return self.evaluate(x)
         density, values = in_chunks(self._compiled_seen, np.concatenate([x, directions], axis=-1, dtype=np.float32))
         return self._finite(density, values)
 
     def query(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Points [N, 3] of the field's space to density [N] per unit of it, RGB [N, 3], features [N, 4] or [N, 0] (JAX).
+        """(density [N], RGB [N, 3], features [N, 4] or [N, 0]) at points [N, 3] of the field's space. Needs JAX.
 
-        Outside what training saw the field is garbage, so there density is 0.
+        Density is per unit of that space. It is 0 outside the domain and in empty cells of the occupancy, where nothing trained the
+        field. Raises SnergError when a result is not finite.
         """
         x = self.domain.from_world(points)
         kept = np.flatnonzero(self.holds(x))
@@ -103,7 +105,7 @@ class Field:
         return density * np.float32(self.domain.scale), values[:, :3], values[:, 3:]
 
     def holds(self, x: NDArray[Any]) -> NDArray[Any]:
-        """[N] bool: field coordinates at which there may be something."""
+        """Whether points [N, 3] in field coordinates lie in the domain and in an occupied cell, bool [N]."""
         within = (x >= (self.domain.low - 1e-6).astype(np.float32)) & (x <= (self.domain.high + 1e-6).astype(np.float32))
         inside = within[:, 0] & within[:, 1] & within[:, 2]  # three times as fast as all(axis=-1)
         if self.occupancy is not None:
@@ -112,9 +114,10 @@ class Field:
 
 
 def in_chunks(function: Callable[[NDArray[Any]], Sequence[Any]], x: NDArray[Any], size: int = CHUNK) -> tuple[NDArray[Any], ...]:
-    """What a function of points [size, 3] gives for [N, 3], a chunk at a time, the last padded with zeros: one compiled shape.
+    """Evaluate `function` on points x [N, D], in chunks of `size` points, so that JAX compiles it for one shape.
 
-    function: to arrays whose first axis is the points', however many; they come back as NumPy arrays [N, ...].
+    function: maps float32 [size, D] to arrays [size, ...]. The last chunk is padded with zeros. Returns its results as NumPy arrays
+    [N, ...].
     """
     parts = []
     for start in range(0, max(len(x), 1), size):  # once for no points too, so that there are shapes

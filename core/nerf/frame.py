@@ -1,4 +1,4 @@
-"""Pictures: what rays gathered, and colours with view dependence (eq. 7) once a pixel."""
+"""A rendered picture, the composited values of its rays, and the deferred view-dependent residual (eq. 7), once a pixel."""
 
 from __future__ import annotations
 
@@ -10,25 +10,27 @@ from numpy.typing import NDArray
 
 from .model import ViewNetwork, view_residual
 
-NETWORK_TRANSMITTANCE = 254 / 255  # the network runs where less light than this passes (hard case 43)
-STACK = 128
+NETWORK_TRANSMITTANCE = 254 / 255  # the network runs where the transmittance is at most this: alpha of one 8-bit level (hard case 43)
+STACK = 128  # rays in one matrix product of the network
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """colour [H, W, 3] float32 premultiplied, display-referred, over nothing; alpha [H, W]; depth [H, W], the
-    expected distance along the ray in world units, infinite where alpha is 0."""
+    """A rendered picture, float32. colour: [H, W, 3] premultiplied, display-referred, without a background; alpha: [H, W].
+
+    depth: [H, W], the mean distance along the ray in world units, infinite where alpha is 0.
+    """
 
     colour: NDArray[Any]
     alpha: NDArray[Any]
     depth: NDArray[Any]
 
     def over(self, background: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> NDArray[Any]:
-        """[H, W, 3] in [0, 1] over a colour."""
+        """The picture over a background colour, display-referred: [H, W, 3] in [0, 1]."""
         return np.asarray(np.clip(self.colour + (1 - self.alpha[..., None]) * np.array(background, np.float32), 0, 1))
 
     def straight(self) -> NDArray[Any]:
-        """[H, W, 4] in [0, 1] with straight alpha, as pictures hold it."""
+        """The picture with straight alpha, as image files store it: [H, W, 4] in [0, 1]."""
         alpha = self.alpha[..., None]
         colour = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
         return np.concatenate([np.where(alpha > 0, colour, 0), alpha], axis=-1)
@@ -36,9 +38,11 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Composited:
-    """What a ray gathers: colour [N, 3], features [N, 4] (none in a diffuse scene: [N, 0]), transmittance [N], and
-    depth [N], distance times opacity in units of the space (see `space_rays`). float32. samples: how many all rays took together, where
-    that is known."""
+    """The composited values of N rays, float32: colour [N, 3], features [N, 4] (a diffuse scene has none: [N, 0]), transmittance [N].
+
+    depth: [N], the sum of distance times compositing weight, that is mean distance times alpha, in units of the space (see `space_rays`).
+    samples: the number of samples of all rays together, None where it is not known.
+    """
 
     colour: NDArray[Any]
     features: NDArray[Any]
@@ -47,14 +51,16 @@ class Composited:
     samples: int | None = None
 
     def part(self, some: slice | NDArray[Any]) -> Composited:
-        """The rays [N] of a slice, of indices [K] or of a mask [N]."""
+        """The values of some of the rays: those of a slice, of indices [K] or of a bool mask [N]. `samples` is None."""
         return Composited(self.colour[some], self.features[some], self.transmittance[some], self.depth[some])
 
 
 def shade(network: ViewNetwork | None, rays: Composited, directions: NDArray[Any]) -> NDArray[Any]:
-    """Composited colour plus the view-dependent residual (eq. 7), [N, 3], once a ray and only where something is.
+    """The colour [N, 3] of rays: composited colour plus the view-dependent residual (eq. 7), premultiplied, without a background.
 
-    directions: [N, 3] unit, in the axes in which the network was trained.
+    The network runs once a ray, on the colour over white, and only where the ray's transmittance is at most NETWORK_TRANSMITTANCE;
+    elsewhere, and where `network` is None (a diffuse field), the residual is 0.
+    directions: [N, 3] unit view directions, in the axes in which the network was trained.
     """
     if network is None:
         return rays.colour
@@ -66,7 +72,10 @@ def shade(network: ViewNetwork | None, rays: Composited, directions: NDArray[Any
 
 
 def residual(network: ViewNetwork, colour: NDArray[Any], features: NDArray[Any], directions: NDArray[Any]) -> NDArray[Any]:
-    """`view_residual` [N, 3] of many rays, STACK after STACK."""
+    """`view_residual` [N, 3] of any number of rays, evaluated on batches of STACK rays.
+
+    colour: [N, 3] over white; features: [N, 4]; directions: [N, 3] unit.
+    """
     count = len(colour)
 
     def stacked(values: NDArray[Any]) -> NDArray[Any]:

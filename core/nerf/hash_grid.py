@@ -15,7 +15,8 @@ PRIMES = (2654435761, 805459861)
 
 @dataclass(frozen=True)
 class HashGrid:
-    """levels of cells from `coarsest` to `finest` along the domain, `features` numbers a vertex, at most 2^log2_size vertices a level."""
+    """The sizes of a multiresolution hash grid: `levels` grids from `coarsest` to `finest` cells along the domain, with `features` numbers
+    at each vertex and at most 2^log2_size stored vertices a level (Mueller et al. 2022, table 1)."""
 
     levels: int = 8
     coarsest: int = 16
@@ -25,13 +26,13 @@ class HashGrid:
 
     @cached_property
     def resolutions(self) -> NDArray[Any]:
-        """[levels] cells along an axis, growing geometrically."""
+        """Cells along an axis at each level, [levels], a geometric series."""
         growth = np.linspace(0, 1, self.levels) if self.levels > 1 else np.zeros(1)
         return np.asarray(np.floor(self.coarsest * (self.finest / self.coarsest) ** growth + 1e-6).astype(np.int64))
 
     @cached_property
     def sizes(self) -> NDArray[Any]:
-        """[levels] vertices stored: all of them where they fit, else the hash table's size."""
+        """Vertices stored at each level, [levels]: all of them where they fit in the hash table, else the table's size."""
         return np.minimum((self.resolutions + 2) ** 3, 2**self.log2_size)
 
     @cached_property
@@ -41,7 +42,7 @@ class HashGrid:
 
 
 def hash_lookup(xnp: Any, grid: HashGrid, x: Any) -> tuple[Any, Any]:
-    """Which vertices of each level a point needs, and with what weights.
+    """The vertices of each level between which a point is interpolated, and their weights.
 
     x: [N, 3] in [0, 1]. Returns indices int32 [levels, N, 4] into a level's vertices and weights float32 [levels, N, 4]. A cell
     is cut into six tetrahedra along its diagonal, so 4 vertices do where a cube needs 8, and the result is continuous.
@@ -66,8 +67,10 @@ def hash_lookup(xnp: Any, grid: HashGrid, x: Any) -> tuple[Any, Any]:
 
 
 def vertex_index(xnp: Any, grid: HashGrid, corner: list[Any]) -> Any:
-    """Vertices int32 [levels, N] given by x, y, z, each uint32 [levels, N]: by place where a level fits, which the coarser do,
-    else hashed."""
+    """Indices int32 [levels, N] of vertices in their level's table, from x, y, z, each uint32 [levels, N].
+
+    A level whose vertices all fit in the table (the coarser ones) is indexed by position, others by the hash of the position.
+    """
     fits = int(np.count_nonzero((grid.resolutions + 2) ** 3 <= 2**grid.log2_size))
     side = (grid.resolutions[:fits, None] + 2).astype(np.uint32)
     x, y, z = corner
@@ -77,7 +80,7 @@ def vertex_index(xnp: Any, grid: HashGrid, corner: list[Any]) -> Any:
 
 
 def hash_encode(xnp: Any, grid: HashGrid, tables: Sequence[Any], indices: Any, weights: Any) -> Any:
-    """A level's table each, flat [size * features], at `hash_lookup`'s vertices: [N, levels * features].
+    """Interpolate the tables at `hash_lookup`'s vertices: [N, levels * features]. tables: one a level, flat [size * features].
 
     Flat, because Adam takes a third of the time over one long axis that it takes over many rows of a few features; and a table
     a level, because XLA then works on several at once.

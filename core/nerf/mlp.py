@@ -40,7 +40,7 @@ def positional_encoding(xnp: Any, x: Any, degrees: int = POINT_DEGREES) -> Any:
 
 
 def trunk(xnp: Any, layers: Sequence[Dense], x: Any, degrees: int = POINT_DEGREES, skip: int = SKIP) -> tuple[Any, Any]:
-    """Positions [N, 3] through the perceptron to (raw density [N], raw other outputs [N, 7]), before activations."""
+    """Evaluate the perceptron at positions [N, 3]: (raw density [N], raw other outputs [N, 7]), before their activations."""
     inputs = positional_encoding(xnp, x, degrees)
     x = inputs
     for i, layer in enumerate(layers[:-2]):
@@ -65,7 +65,7 @@ def mlp_field(xnp: Any, layers: Sequence[Dense], points: Any, degrees: int = POI
 def layer_shapes(
     width: int, depth: int, degrees: int = POINT_DEGREES, skip: int = SKIP, outputs: int = OUTPUTS
 ) -> tuple[tuple[int, int], ...]:
-    """Kernel shapes of a trunk: depth hidden layers of that width, then the two heads."""
+    """Kernel shapes [in, out] of a trunk: `depth` hidden layers of `width` units, then the density head and the head of the outputs."""
     encoded = 3 * (1 + 2 * degrees)
     shapes, size = [], encoded
     for i in range(depth):
@@ -82,11 +82,11 @@ def init_trunk(
     skip: int = SKIP,
     outputs: int = OUTPUTS,
 ) -> Trunk:
-    """A trunk to start training from; the same generator gives the same bytes."""
+    """Random initial layers of a perceptron; a generator in the same state gives the same bytes."""
     return tuple(init_dense(random, *shape) for shape in layer_shapes(width, depth, degrees, skip, outputs))
 
 
 def init_dense(random: np.random.Generator, rows: int, columns: int) -> Dense:
-    """One layer: a kernel uniform as in Glorot and Bengio 2010 (JAXNeRF's choice), biases of 0."""
+    """Random initial weights of a layer [rows, columns]: uniform as in Glorot and Bengio 2010, as in JAXNeRF; biases are 0."""
     reach = np.sqrt(6 / (rows + columns))
     return Dense(random.uniform(-reach, reach, (rows, columns)).astype(np.float32), np.zeros(columns, np.float32))

@@ -50,8 +50,8 @@ def view_residual(xnp: Any, network: ViewNetwork, colour: Any, features: Any, di
 
 
 def with_frequencies(params: dict[str, Any], degrees: int) -> dict[str, Any]:
-    """Parameters, or their gradient, whose view-dependence networks see the direction's first `degrees` frequencies alone (0 to
-    VIEW_DEGREES): the weights of the others are 0."""
+    """Parameters, or their gradient, in which the view-dependence networks use only the first `degrees` frequencies of the direction's
+    encoding (0 to VIEW_DEGREES): the weights of the other frequencies are set to 0."""
     changed = dict(params)
     if "view" in params and degrees < VIEW_DEGREES:
         first, *rest = params["view"]
@@ -78,7 +78,7 @@ class HashModelConfig:
 
 @dataclass(frozen=True)
 class MlpModelConfig:
-    """The paper's positional-encoding MLP (section 6; see positional.py).
+    """The paper's positional-encoding MLP (section 6; see mlp.py).
 
     density: 'softplus' trains from every initialisation (hard case 24); 'relu' is what reference checkpoints have.
     """
@@ -148,7 +148,10 @@ def view_head(family: ModelConfig, params: Any) -> tuple[Dense, Dense] | None:
 
 
 def field_inputs(xnp: Any, family: ModelConfig, x: Any) -> Any:
-    """What `field_outputs` needs of points [N, 3] in the field's own coordinates, computed apart from the parameters (see hash_lookup)."""
+    """The inputs of `field_outputs` for points [N, 3] in field coordinates: what depends on the points alone and not on the parameters.
+
+    A hash grid's (indices, weights), see `hash_lookup`; an MLP's points themselves.
+    """
     if isinstance(family, HashModelConfig):
         return hash_lookup(xnp, family.grid, xnp.clip(x * 0.5 + 0.5, 0, 1))
     return x
@@ -165,7 +168,10 @@ def field_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tu
 
 
 def raw_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tuple[Any, Any]:
-    """`field_outputs` with the density [N] as it is before its activation."""
+    """(raw density [N], values [N, C]): as `field_outputs`, but without the density's activation (`density_of`).
+
+    inputs: the result of `field_inputs`. params: params["field"] of `init_field`. The values have their activation.
+    """
     if isinstance(family, HashModelConfig):
         tables = [params[f"table_{i}"] for i in range(family.grid.levels)]
         hidden = xnp.maximum(hash_encode(xnp, family.grid, tables, *inputs) @ params["weights_0"] + params["bias_0"], 0)
@@ -177,7 +183,7 @@ def raw_outputs(xnp: Any, family: ModelConfig, params: Any, inputs: Any) -> tupl
 
 
 def density_of(xnp: Any, family: ModelConfig, raw: Any) -> Any:
-    """Density [N] >= 0 from what a network gives [N]."""
+    """Density [N] >= 0, per unit of field coordinates, from the network's raw output [N]: exponential, ReLU or softplus."""
     if isinstance(family, HashModelConfig):
         return bounded_exp(xnp, raw)
     if family.density == "relu":

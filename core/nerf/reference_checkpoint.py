@@ -1,8 +1,8 @@
-"""Checkpoints of the reference implementation: msgpack as flax writes it, read without flax.
+"""Reads checkpoints of the reference implementation, which are msgpack files written by flax, without flax.
 
 Deferred, a checkpoint holds MLP_0 .. MLP_3: coarse trunk, coarse view network, fine trunk, fine view network. Without
 view directions it holds MLP_0 and MLP_1, coarse and fine, or just MLP_0 when there were no fine samples. Width, depth,
-skips and degrees of the encoding are read off the tensors' shapes. What no shape tells is taken as the reference's
+skips and degrees of the encoding are read off the tensors' shapes. What the shapes do not show is taken as the reference's
 default: degrees from 0, sines before cosines, ReLU.
 """
 
@@ -47,9 +47,9 @@ SAMPLES_ACROSS = 512  # of that extent, when the field itself is rendered
 
 @dataclass(frozen=True, eq=False)
 class ReferenceCheckpoint:
-    """The networks of a field as the reference trained it; arrays float32, positions in its world's units.
+    """The fine networks of a field that the reference implementation trained; arrays float32, positions in units of its world.
 
-    family: what `trunk` is. network: None where it is diffuse. Of coarse and fine networks these are the fine ones.
+    family: the configuration of `trunk`. network: the view-dependence network, None for a diffuse field.
     """
 
     step: int
@@ -59,7 +59,7 @@ class ReferenceCheckpoint:
 
 
 def find_checkpoint(path: Path) -> Path | None:
-    """`path` itself, or the newest checkpoint_<step> in the folder `path`; None where there is none."""
+    """`path` itself if it is a file, or the checkpoint_<step> with the highest step in the folder `path`; None where there is none."""
     if not path.is_dir():
         return path if path.is_file() else None
     steps = {int(match[1]): p for p in path.iterdir() if p.is_file() and (match := re.fullmatch(r"checkpoint_(\d+)", p.name))}
@@ -67,10 +67,10 @@ def find_checkpoint(path: Path) -> Path | None:
 
 
 def read_reference_checkpoint(path: Path) -> ReferenceCheckpoint:
-    """Read checkpoint_<step>, or the newest one in a folder.
+    """Read a checkpoint_<step> file, or the one with the highest step in a folder.
 
-    Raises SnergError when there is none, when it is cut short, another program's or another kind of NeRF's, or names the
-    tensor that is not finite.
+    Raises SnergError when there is none, when it is truncated, not written by flax or of another kind of NeRF, and when a tensor, which
+    the message names, is not finite.
     """
     found = find_checkpoint(Path(path))
     if found is None:
@@ -97,10 +97,10 @@ def _read(found: Path) -> ReferenceCheckpoint:
 
 
 def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, directions: Any) -> tuple[Any, Any, Any, Any]:
-    """The networks at positions [N, 3] and unit directions [N, 3].
+    """Evaluate the networks at positions [N, 3] and unit view directions [N, 3].
 
-    Returns (density [N], RGB [N, 3], features [N, 4], residual [N, 3]), the residual as of a ray that gathers just this
-    point; diffuse, there are no features [N, 0] and the residual is 0.
+    Returns (density [N], RGB [N, 3], features [N, 4], residual [N, 3]). The residual is that of a ray whose only sample is this point. A
+    diffuse field has no features, [N, 0], and its residual is 0.
     """
     family = checkpoint.family
     density, colour, features = activate(xnp, *trunk(xnp, checkpoint.trunk, points, family.degrees, family.skip))
@@ -110,9 +110,10 @@ def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, direct
 
 
 def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
-    """The networks as a field, to bake: its coordinates are the world's, and it fills [-1.5, 1.5]^3.
+    """The field of a checkpoint, to be baked. Field coordinates are world coordinates, and the domain is [-1.5, 1.5]^3.
 
-    A checkpoint knows neither its cameras nor its images, so nothing can be culled by visibility or refined.
+    The field has no cameras and no dataset, because a checkpoint contains neither: a bake can use neither visibility culling nor
+    fine-tuning.
     """
     reach = np.full(3, REACH)
     return Field(
@@ -128,7 +129,7 @@ def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
 
 
 def _unpack(path: Path) -> Any:
-    """The file's tree, with arrays left as `_Packed` until they are asked for: never more than twice the file in memory."""
+    """The file's tree, in which arrays stay `_Packed` until they are decoded: at most twice the file's size is in memory."""
     import msgpack
 
     check_file(path, MAX_BYTES)
@@ -145,13 +146,13 @@ def _unpack(path: Path) -> Any:
 
 @dataclass(frozen=True)
 class _Packed:
-    """An extension value of the file, not yet believed."""
+    """An extension value of the file, not decoded or validated yet."""
 
     code: int
     data: bytes
 
     def array(self) -> NDArray[Any]:
-        """Decode an array or a scalar. Raises ValueError on anything that does not add up."""
+        """Decode an array or a scalar, of any shape. Raises ValueError when its type, shape and size are inconsistent."""
         import msgpack
 
         if self.code not in (NDARRAY, SCALAR):
@@ -218,7 +219,7 @@ def _layers(networks: Mapping[Any, Any], network: str, path: Path) -> Trunk:
 
 
 def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpModelConfig, int]:
-    """(what a trunk is, how many features it has), from the shapes of its tensors."""
+    """(configuration of a trunk, number of its features), from the shapes of its tensors."""
     shapes = [layer.kernel.shape for layer in layers]
     if len(shapes) < 3:
         _misshapen(path, name, f"{len(shapes)} layers")
@@ -244,17 +245,17 @@ def _read_trunk(layers: Trunk, name: str, path: Path) -> tuple[MlpModelConfig, i
 
 
 def _padded(layers: Trunk) -> Trunk:
-    """The trunk with as many features as a scene has; the view network does not look at those added."""
+    """The trunk padded to FEATURES features. The padded view network ignores the added ones (its weights for them are 0)."""
     head = layers[-1]
     more = 3 + FEATURES - head.bias.size
     return (*layers[:-1], Dense(np.pad(head.kernel, ((0, 0), (0, more))), np.pad(head.bias, (0, more))))
 
 
 def _view_network(layers: Trunk, features: int, name: str, path: Path) -> ViewNetwork:
-    """The network that every scene has, 34 -> 16 -> 16 -> 3, with the numbers of one of that size or smaller.
+    """A view-dependence network of the size that scenes have, 34 -> 16 -> 16 -> 3, equivalent to one of that size or smaller.
 
-    Narrower layers are filled up with zeros, which change nothing, and a layer that is missing is the identity, which the
-    ReLU before it makes exact. The reference gives its view network a density as well, that nothing uses.
+    Narrower layers are padded with zeros. A missing layer becomes the identity, which is exact because a ReLU precedes it.
+    The reference's view network also outputs a density, which is not used.
     """
     hidden, head = list(layers[:-2]), layers[-1]
     shapes = [layer.kernel.shape for layer in (*hidden, head)]
@@ -275,7 +276,7 @@ def _view_network(layers: Trunk, features: int, name: str, path: Path) -> ViewNe
 
 
 def _view_rows(degrees: int, features: int) -> Sequence[int]:
-    """Of the 34 inputs of a scene's view network, those of a network with fewer degrees or features, in order."""
+    """The indices, among the 34 inputs of a scene's view network, of the inputs of a network with fewer degrees or features, in order."""
     cosines = 3 + 3 * VIEW_DEGREES
     colour = cosines + 3 * VIEW_DEGREES
     return [*range(3 + 3 * degrees), *range(cosines, cosines + 3 * degrees), *range(colour, colour + 3 + features)]

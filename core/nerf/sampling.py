@@ -16,48 +16,47 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 
 CELLS = 128  # cells of the occupancy grid along an axis (Mueller et al. 2022)
-COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the hull's extent
+COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the extent of the visual hull
 
 
 @dataclass(frozen=True, eq=False)
 class Domain:
-    """x = (p - centre) * scale takes the world to the field's coordinates.
+    """The transform from the field's space (the world, or NDC) to field coordinates, x = (p - centre) * scale, and a box in these."""
 
-    centre: [3] float64 world; scale: 1 / world units; low, high: [3] float64, the part of the field's
-    coordinates that holds anything.
-    """
-
-    centre: NDArray[Any]
-    scale: float
-    low: NDArray[Any]
-    high: NDArray[Any]
+    centre: NDArray[Any]  # [3] float64, in the space
+    scale: float  # field coordinates per unit of the space
+    low: NDArray[Any]  # [3] float64, field coordinates: the lowest corner of the box outside of which the field is empty
+    high: NDArray[Any]  # [3] float64, the highest corner
 
     @classmethod
     def around(cls, low: NDArray[Any], high: NDArray[Any]) -> Domain:
-        """The domain whose longest side is [-1, 1] on the world's box `low`..`high` [3]."""
+        """The domain of the axis-aligned box from `low` [3] to `high` [3], whose longest side becomes [-1, 1]."""
         centre = (low + high) / 2
         scale = 2 / float((high - low).max())
         half = (high - low) / 2 * scale
         return cls(centre, scale, -half, half)
 
     def from_world(self, points: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] world, float64 in, float32 out: far from the origin nothing is lost (hard case 6)."""
+        """Field coordinates [N, 3] float32 of points [N, 3] float64. The centre is subtracted in float64, so that points far from the
+        origin keep their precision (hard case 6)."""
         return np.asarray(((points - self.centre) * self.scale).astype(np.float32))
 
     def to_world(self, x: NDArray[Any]) -> NDArray[Any]:
-        """[N, 3] float64."""
+        """Points [N, 3] float64 of field coordinates [N, 3]; the inverse of `from_world`."""
         return np.asarray(np.asarray(x, np.float64) / self.scale + self.centre)
 
     def world_box(self) -> Box:
-        """The occupied part as a box in world axes."""
+        """The box from `low` to `high` in world units, axis-aligned."""
         return Box.axis_aligned(self.to_world(self.low), self.to_world(self.high))
 
 
 def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None], radius: float) -> NDArray[Any]:
-    """Which world points [N, 3] are in the visual hull, bool [N]: seen by a camera, and inside the silhouette of each that sees them.
+    """Whether world points [N, 3] are in the visual hull, bool [N] (Laurentini 1994): at least one camera sees the point, and it lies in
+    the silhouette of every camera that sees it.
 
-    masks: a camera's silhouette [H, W] bool, or None where its image has no alpha. radius: world units round a
-    point that count with it. A point beyond a picture's edge is not judged by that picture.
+    masks: a camera's silhouette [H, W] bool, or None where its image has none; such a camera excludes no point. A camera whose picture
+    does not contain a point does not exclude it either. radius: in world units; a point is kept when the silhouette meets the
+    sphere of this radius around it.
     """
     alive = np.arange(len(points))
     seen = np.zeros(len(points), bool)
@@ -78,7 +77,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
 
 
 def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
-    """Pixels that `radius` covers at the nearest of the depths, at most an eighth of the picture."""
+    """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
     if not len(depth):
         return 1
     nearest = 1.0 if camera.projection == "orthographic" else max(float(depth.min()), 1e-9)
@@ -98,10 +97,10 @@ def dilated(mask: NDArray[Any], radius: int) -> NDArray[Any]:
 
 
 def hull(box: Box, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> tuple[Domain, NDArray[Any]]:
-    """(tight domain of a capture, occupancy cells in its visual hull bool [CELLS^3], z fastest).
+    """(domain, occupancy bool [CELLS^3], z fastest): the visual hull of a capture, and the smallest domain that contains it.
 
-    Carving runs twice: coarsely over the whole box for the extent of the hull, then finely over that extent.
-    An empty hull (silhouettes that do not agree) falls back to the whole box.
+    Carving runs twice: with COARSE_CELLS over the whole box for the extent of the hull, then with CELLS over that extent.
+    When the hull is empty because the silhouettes contradict each other, the domain is the whole box and every cell is occupied.
     """
     corners = box.corners()
     whole = Domain.around(corners.min(axis=0), corners.max(axis=0))
@@ -133,23 +132,26 @@ def cells_alive(domain: Domain, cells: int, box: Box, cameras: Sequence[Camera],
 
 
 def cell_centres(cells: int) -> NDArray[Any]:
-    """[cells^3, 3] centres of the cells of [-1, 1]^3, z fastest, float64."""
+    """The centres [cells^3, 3] of the cells of a grid on [-1, 1]^3, z fastest, float64."""
     axis = (np.arange(cells) + 0.5) * (2 / cells) - 1
     return np.asarray(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))
 
 
 def estimates(value: NDArray[Any], name: str, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A copy of a training's estimates: float32 of any shape, not negative, infinite where there is none. Raises ValueError."""
+    """A copy of estimates read from a training's state: float32 >= 0, of any shape `shape`, infinite where not measured.
+
+    Raises ValueError, which begins with `name`, when `value` is anything else.
+    """
     if value.shape != shape or value.dtype != np.float32 or not (value >= 0).all():
         raise ValueError(f"{name} is {value.dtype} {value.shape}, or not above 0; it must be float32 {shape}")
     return value.copy()
 
 
 class Occupancy:
-    """The occupancy grid of a field in training.
+    """The occupancy grid of a field in training (Mueller et al. 2022, section 5).
 
-    cells: indices of the cells that may hold something. most: float32 [CELLS^3], a running upper estimate of the density in a cell,
-    infinite where it was never measured, 0 in empty cells.
+    cells: indices of the occupied cells. most: float32 [CELLS^3], z fastest, a running upper estimate of the density in each cell, per
+    unit of field coordinates; infinite in cells that were not measured yet, 0 in empty cells.
     """
 
     def __init__(self, most: NDArray[Any]) -> None:
@@ -158,7 +160,7 @@ class Occupancy:
 
     @classmethod
     def of_hull(cls, alive: NDArray[Any]) -> Occupancy:
-        """All that the hull allows, bool [CELLS^3], may hold something."""
+        """The occupancy grid before training: the cells of the visual hull, bool [CELLS^3], are occupied and not yet measured."""
         return cls(np.where(alive, np.float32(np.inf), np.float32(0)))
 
     def update(self, query: Callable[[NDArray[Any]], NDArray[Any]], count: int, rng: np.random.Generator) -> None:
@@ -169,21 +171,21 @@ class Occupancy:
         self.most[cells] = np.where(np.isinf(most), found, np.maximum(found, 0.8 * most + 0.2 * found))
 
     def prune(self, threshold: float) -> None:
-        """Give up cells whose upper estimate is at most `threshold`, for good: nothing samples them any more, so
-        whatever the field comes to hold there would be garbage."""
+        """Mark cells as empty whose upper estimate of the density is at most `threshold`. They stay empty: without samples in them the
+        field is not trained there, so its density there means nothing."""
         given_up = self.cells[self.most[self.cells] <= threshold]
         self.most[given_up] = 0
         self.cells = np.flatnonzero(self.most > 0)
 
     @staticmethod
     def points_in(cells: NDArray[Any], rng: np.random.Generator) -> NDArray[Any]:
-        """A random point [N, 3] float32 in each of the cells [N]."""
+        """A random point in each of the cells with indices [N]: field coordinates [N, 3] float32."""
         index = np.stack(np.unravel_index(cells, (CELLS,) * 3), axis=-1)
         return ((index + rng.random(index.shape)) * (2 / CELLS) - 1).astype(np.float32)
 
     @property
     def occupied(self) -> NDArray[Any]:
-        """bool [CELLS^3]."""
+        """The cells that may hold something, bool [CELLS^3], z fastest."""
         return self.most > 0
 
 
@@ -200,14 +202,13 @@ def clip_rays(
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Packed samples: points [N, 3] float32 in field coordinates, ray [N] sorted ray numbers, length: their spacing,
-    distance [N] along the ray. cut: [R] bool, rays that `until` ends before they leave the domain."""
+    """The N samples of R rays in one list, ray after ray. Lengths are in field coordinates."""
 
-    points: NDArray[Any]
-    ray: NDArray[Any]
-    length: float
-    distance: NDArray[Any]
-    cut: NDArray[Any]
+    points: NDArray[Any]  # [N, 3] float32
+    ray: NDArray[Any]  # [N] the samples' rays, ascending
+    length: float  # spacing of the samples along a ray
+    distance: NDArray[Any]  # [N] float32, from the ray's origin
+    cut: NDArray[Any]  # [R] bool, rays that `until` cuts off before they leave the domain
 
 
 def pack_samples(
@@ -221,10 +222,12 @@ def pack_samples(
     far: float | NDArray[Any] = np.inf,
     until: float | NDArray[Any] = np.inf,
 ) -> Samples:
-    """Samples of rays [R, 3] (field coordinates) at a spacing `length`, in occupied cells only.
+    """Sample rays at a constant spacing `length` and keep the samples in occupied cells (Mueller et al. 2022, section 5).
 
-    occupied: bool [CELLS^3]. offset: [R] in [0, 1), where in its first interval a ray starts. near, far: distances between
-    which a ray sees. until: distance at which it need not look any further.
+    All lengths are in field coordinates. occupied: bool [CELLS^3]. origins, directions: [R, 3], the directions of length 1.
+    Sample i of a ray lies at the distance enter + (i + offset) * length; offset: [R] in [0, 1).
+    enter is where the ray enters the domain, but at least near; the last sample comes before it leaves the domain, before far and
+    before until. near, far, until: [R] or one float; `until` is an estimate (a termination depth), so Samples.cut marks its rays.
     """
     enter, leave = clip_rays(domain, origins, directions, near)
     leave = np.minimum(leave, far)
@@ -250,7 +253,11 @@ def coarse_steps(
     offset: NDArray[Any],
     counts: NDArray[Any],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(ray [N], step [N]) of every step that a coarser occupancy does not rule out, in order along each ray."""
+    """(ray [N], step [N]) of the steps of rays that a coarser occupancy grid does not exclude, in order along each ray.
+
+    enter, offset, counts: [R], a ray's first distance, the offset of its steps in [0, 1) and their number. Other arguments: see
+    `pack_samples`.
+    """
     span = BLOCK * length
     blocks = -(-counts // BLOCK)
     ray = np.repeat(np.arange(len(counts)), blocks)
@@ -272,9 +279,10 @@ _coarser: dict[tuple[int, int, int], tuple[NDArray[Any], NDArray[Any]]] = {}
 
 
 def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
-    """Occupancy [n^3] in cells of `factor` of the fine ones, dilated so that a look at the middle of a stretch of `span` is enough.
+    """(occupancy bool [(CELLS / factor)^3] in cells `factor` times as wide, factor).
 
-    The cells are as small as leaves them few to dilate by: what is not ruled out here is looked at step by step.
+    It is dilated, so that one lookup at the middle of a ray segment of length `span` (field coordinates) finds any occupied cell that
+    the segment meets. Smaller cells exclude more, larger ones need less dilation: a cell is at most a quarter of the segment.
     """
     factor = 1
     while factor < 8 and 8 * factor / CELLS <= span:  # a cell is 2 / CELLS wide, and at most a quarter of the stretch
@@ -299,6 +307,6 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 
 
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
-    """[N] occupancy cell of points [N, 3] in field coordinates, z fastest; points outside get the nearest cell."""
+    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell."""
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
     return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])

@@ -1,4 +1,4 @@
-"""From what a field holds to the colour of a ray, for every kind of view dependence; NumPy and JAX alike."""
+"""Colours of samples and of rays from a field's outputs, for every kind of view dependence. The same formulas serve NumPy and JAX."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from .model import ModelConfig, ViewNetwork, sigmoid, view_encoding, view_head, view_residual
 
-NETWORK_OPAQUE = 1 / 255  # the view-dependence network counts where alpha is at least this (hard case 43)
+NETWORK_OPAQUE = 1 / 255  # the residual is added where alpha is at least this, one level of 8 bits (hard case 43)
 
 
 def unit(directions: NDArray[Any]) -> NDArray[Any]:
-    """[N, 3] directions of length 1, as view dependence wants them (hard case 11). Raises SnergError where one has no direction."""
+    """Normalise directions [N, 3] to length 1, float64, for the view-dependence network (hard case 11).
+
+    Raises SnergError when one is 0 or not finite.
+    """
     length = np.linalg.norm(np.asarray(directions, np.float64), axis=-1, keepdims=True)
     if not (np.isfinite(length) & (length > 0)).all():
         raise SnergError("A viewing direction is zero or not finite; check the poses of the cameras.")
@@ -22,10 +25,10 @@ def unit(directions: NDArray[Any]) -> NDArray[Any]:
 
 
 def sample_values(xnp: Any, view: str, family: ModelConfig, params: dict[str, Any], values: Any, directions: Any) -> Any:
-    """What is composited of samples [N, C], from what `field_outputs` says of them.
+    """The values of samples to composite, from the values [N, C] of `field_outputs`.
 
-    RGB [N, 3] as seen along directions [N, 3] (unit) where view dependence is a sample's own, 'sample' (section 4.1) or 'tiny'
-    (supplement C.4); else the values as they are. params: those of `init_field`.
+    With view dependence per sample, 'sample' (section 4.1) or 'tiny' (supplement C.4), this is RGB [N, 3] along the unit view
+    directions [N, 3]; otherwise the values are returned as they are. params: the result of `init_field`.
     """
     if view == "tiny":
         colour = values[:, :3]
@@ -42,13 +45,15 @@ def sample_values(xnp: Any, view: str, family: ModelConfig, params: dict[str, An
 def ray_colour(
     xnp: Any, view: str, params: dict[str, Any], gathered: Any, transmittance: Any, directions: Any, background: Any = 1.0
 ) -> Any:
-    """Colour [R, 3] of rays over a background [R, 3] (1: white), from what they gather [R, C] (eqs. 5 to 7).
+    """The colour [R, 3] of rays over a background, display-referred, from their composited values `gathered` [R, C] (eqs. 5 to 7).
 
-    directions: [R, 3] unit. The network of a deferred field sees the colour over white, whatever is behind.
+    transmittance: [R]. directions: [R, 3] unit view directions. background: [R, 3] or one number (1: white).
+    A deferred field adds the residual of its network where alpha is at least NETWORK_OPAQUE. The network's input is the colour over
+    white, whatever the background is.
     """
-    through = transmittance[:, None]
-    colour = gathered[:, :3] + through * background
+    transmittance = transmittance[:, None]
+    colour = gathered[:, :3] + transmittance * background
     if view not in ("deferred", "auto"):
         return colour
-    residual = view_residual(xnp, ViewNetwork(*params["view"]), gathered[:, :3] + through, gathered[:, 3:], directions)
-    return colour + xnp.where(through <= 1 - NETWORK_OPAQUE, residual, 0)
+    residual = view_residual(xnp, ViewNetwork(*params["view"]), gathered[:, :3] + transmittance, gathered[:, 3:], directions)
+    return colour + xnp.where(transmittance <= 1 - NETWORK_OPAQUE, residual, 0)

@@ -10,18 +10,22 @@ MAX_OPTICAL_DEPTH = 80.0  # exp(-80) is past float32's smallest normal number (h
 
 
 def optical_depth(xnp: Any, density: Any, length: Any) -> Any:
-    """density * length clamped to [0, 80], so that neither value nor gradient is ever infinite (hard case 20)."""
+    """The optical depth of intervals, density * length, elementwise, clipped to [0, MAX_OPTICAL_DEPTH].
+
+    density is per unit of length, in the same units as `length`. The bound keeps values and gradients finite (hard case 20).
+    """
     return xnp.clip(density * length, 0, MAX_OPTICAL_DEPTH)
 
 
 def opacity(xnp: Any, depth: Any) -> Any:
-    """alpha = 1 - exp(-depth), exact for thin fog too (hard case 18)."""
+    """alpha = 1 - exp(-depth), elementwise, of optical depths; accurate for small depths too (hard case 18)."""
     return -xnp.expm1(-depth)
 
 
 def depth_before(xnp: Any, depth: Any, ray: Any) -> Any:
-    """Optical depth [N] that lies in front of each sample of its ray; ray: [N] sorted ray numbers.
+    """The optical depth [N] between a ray's origin and each of its samples: the sum of the depths of the samples before it.
 
+    depth: [N] of the samples; ray: [N] their rays, ascending.
     In JAX a segmented scan (no ray's sum is a difference of large sums); in NumPy a float64 running sum.
     """
     if xnp is np:
@@ -60,7 +64,7 @@ def composite(xnp: Any, depth: Any, values: Any, ray: Any, rays: int) -> tuple[A
 
 
 def composite_rows(xnp: Any, depth: Any, values: Any) -> tuple[Any, Any, Any]:
-    """`composite` of rays that all have as many samples. depth: [R, K]; values: [R, K, C].
+    """`composite` for rays that all have K samples. depth: [R, K]; values: [R, K, C].
 
     Returns (composited values [R, C], transmittance [R], weights [R, K]).
     """
@@ -71,9 +75,9 @@ def composite_rows(xnp: Any, depth: Any, values: Any) -> tuple[Any, Any, Any]:
 
 
 def mean_distance(xnp: Any, gathered: Any, alpha: Any, nothing: float = np.inf) -> Any:
-    """Distance [N] of what a ray sees, from the composited distance [N] and its opacity [N]; `nothing` where it sees nothing.
+    """The mean distance [N] along rays: the composited distance `gathered` [N] divided by alpha [N]; `nothing` where alpha is at most 1e-6.
 
-    Both branches are finite, so that a gradient is too (hard case 21).
+    In the units of `gathered`. Both branches of the `where` are finite, so that the gradient is finite too (hard case 21).
     """
     seen = alpha > 1e-6
     return xnp.where(seen, gathered / xnp.where(seen, alpha, 1), nothing)

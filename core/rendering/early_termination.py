@@ -45,10 +45,11 @@ def stop_transmittance_for(tolerance: float, scene: Scene, per_sample_network: b
 
 
 def residual_bound(network: ViewNetwork, low: NDArray[Any], high: NDArray[Any]) -> float:
-    """The largest possible change of the residual (eq. 7) when colour and features change by something between `low` and `high`, both [7].
+    """An upper bound on the change of the residual (eq. 7), in display-referred colour: the absolute change of any of its 3 channels.
 
-    Interval arithmetic on the change, layer by layer; it holds for every input. A ReLU's output changes by something between 0 and the
-    change of its input, a sigmoid's by at most a quarter of it.
+    The change of the network's 7 inputs colour and features lies between `low` [7] and `high` [7]; the view direction stays the same.
+    The bound is interval arithmetic on the change, layer by layer, and holds for every colour, feature and direction. The
+    output of a ReLU changes by something between 0 and the change of its input, that of a sigmoid by at most a quarter of it.
     """
     for layer, weights in enumerate((network.weights_0, network.weights_1, network.weights_2)):
         kernel = np.asarray(weights, np.float64)[-len(low) :]

@@ -114,7 +114,11 @@ def touched_blocks(mask: NDArray[Any], indirection: NDArray[Any]) -> NDArray[Any
 
 
 def fill_aprons(cells: NDArray[Any], indirection: NDArray[Any]) -> Iterator[int]:
-    """Copy the neighbours' voxels into the aprons of cells [M, 32, 32, 32, ...], in place; yields the number of cells done."""
+    """Copy the border voxels of neighbouring blocks into the aprons of cells [M, 32, 32, 32, ...], in place.
+
+    indirection: int32 [bx, by, bz], a block's row in `cells`. An apron towards a block without a cell is left as it is. Yields after
+    each chunk how many cells are done so far.
+    """
     for start in range(0, len(cells), BLOCKS_PER_CHUNK):
         rows = np.arange(start, min(start + BLOCKS_PER_CHUNK, len(cells)))
         for here, there, offset in _neighbours(indirection, rows):

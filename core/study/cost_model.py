@@ -138,9 +138,9 @@ def _count(probe: FieldProbe, box: Box, settings: BakeSettings) -> _Counts:
 
 
 def ray_slowdown(samples: float, growth: float, finer: float, coefficients: Coefficients = DEFAULT_COEFFICIENTS) -> float:
-    """Time of a ray in voxels that are `finer` times smaller, over its time in the small bake.
+    """The ratio of a ray's marching time in a bake with voxels 1 / finer as long as those of the small bake, to its time in the small bake.
 
-    samples: of a ray in the small bake. growth: the power of the resolution with which they grow.
+    samples: mean samples per ray in the small bake. growth: the exponent g in samples ~ resolution^g (see field_probe.sample_growth).
     """
     overhead = coefficients.ray_overhead
     return float((overhead + samples * finer ** (growth + coefficients.sample_growth)) / (overhead + samples))

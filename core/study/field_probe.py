@@ -324,7 +324,10 @@ def _time_prefilter(field: Field, grid: VoxelGrid, points: NDArray[Any]) -> tupl
 
 
 def sample_growth(small: Scene, coarser: Scene, views: Sequence[Camera], settings: MarchSettings) -> tuple[float, float]:
-    """Samples of a ray in the scene `small`, and the power of the resolution with which they grow, from a scene of half the resolution."""
+    """(mean samples per ray of the views in `small`, the exponent g in samples ~ resolution^g, in [0, MAX_GROWTH]).
+
+    g is measured by comparing with `coarser`, a bake of the same field at a lower resolution; 0 where it is not lower.
+    """
     counts, some = [], [_resized(camera, COUNTED_SIDE) for camera in views]
     for scene in (coarser, small):
         samples = sum(march_rays(scene, *_rays(camera), settings, near=camera.near).samples or 0 for camera in some)
@@ -398,7 +401,7 @@ def visibility_rays(field: Field, grid: VoxelGrid) -> float:
 
 
 def outside_camera(box: Box) -> Camera:
-    """A camera that shows a box from Blender's front (-y), for fields without cameras."""
+    """A camera that shows the whole box from -y (Blender's front view), for fields without cameras."""
     pose = np.eye(4)
     pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     pose[:3, 3] = box.box_to_world[:3, 3] - [0, 1.8 * float(box.size.max()), 0]

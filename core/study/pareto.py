@@ -53,10 +53,11 @@ def pareto_front(rows: Sequence[StudyRow], *costs: str) -> list[StudyRow]:
 
 
 def choose(rows: Sequence[StudyRow], target: StudyTarget) -> tuple[StudyRow | None, StudyRow | None]:
-    """(the row to take, None) where a row on the Pareto front meets the target, else (None, the closest row); (None, None) without rows.
+    """Choose a row on the Pareto front of milliseconds a frame and megabytes.
 
-    With a target in dB it is the row with the fewest megabytes among the fastest that meet it, up to SAME_TIME_RATIO. Without one it is
-    the row with the highest PSNR that meets the target.
+    Returns (row, None) where one meets the target, (None, row) with the row that misses it least where none does, and (None, None)
+    without rows. Among rows that meet a target PSNR (dB), the one with the fewest megabytes is chosen of those that take at most
+    SAME_TIME_RATIO times the fewest milliseconds a frame. Without a target PSNR, the row with the highest PSNR is chosen.
     """
     front = pareto_front(rows, "ms", "megabytes")
     if not front:

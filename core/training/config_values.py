@@ -1,4 +1,4 @@
-"""Settings of a training by their names, as people write them: --set family.width=256."""
+"""Sets training settings by name from text, as in --set family.width=256."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Which effects a scene calls for, decided by measurement of its images and cameras. What depends on training is in trial.py."""
+"""Decides settings that are 'auto' by measuring a dataset's images and cameras, before training.
+
+View dependence is decided during training, in view_dependence_test.py.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +30,14 @@ RANGE = 6.0  # farthest / nearest along a ray, from which distances in disparity
 
 @dataclass(frozen=True)
 class Decision:
-    """effect: what it is about; chosen: what training does; evidence: a sentence with the numbers; measured against threshold
-    (None where nothing was measured); overridden: the settings said so, and the evidence is only told."""
+    """A decision about one effect, and its evidence."""
 
-    effect: str
-    chosen: bool | str
-    evidence: str
-    measured: float | None = None
+    effect: str  # its name, such as 'NDC'
+    chosen: bool | str  # what training does
+    evidence: str  # a sentence with the measured numbers
+    measured: float | None = None  # the value that was compared with `threshold`; None where nothing was measured
     threshold: float | None = None
-    overridden: bool = False
+    overridden: bool = False  # whether the settings chose, whatever the evidence
 
     def text(self) -> str:
         """For a progress line: 'NDC: no. The cameras ...'."""
@@ -50,15 +52,15 @@ class Decision:
 def decided(
     effect: str, setting: str, measured: bool, evidence: str, value: float | None = None, threshold: float | None = None
 ) -> Decision:
-    """A decision that a setting of 'on' or 'off' overrides."""
+    """The decision `measured`, unless the setting is 'on' or 'off', which overrides it. value, threshold: see Decision."""
     chosen = measured if setting == "auto" else setting == "on"
     return Decision(effect, chosen, evidence, value, threshold, setting != "auto")
 
 
 def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decision:
-    """Whether the images' alpha says where the scene is. pixels: [N, 4] uint8; has_alpha: whether every image has it.
+    """Decide whether the images' alpha is trained on: yes where at least TRANSPARENT of the pixels [N, 4] uint8 are not opaque.
 
-    Raises SnergError when the settings want alpha that there is not.
+    has_alpha: whether every image has alpha that varies. Raises SnergError when the setting is 'on' and has_alpha is False.
     """
     if not has_alpha:
         if setting == "on":
@@ -70,10 +72,10 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
 
 
 def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:
-    """Whether opaque images show the scene before a plain backdrop of the background's colour, so that its outline carves the hull.
+    """Decide whether opaque images show the scene in front of a plain backdrop, so that silhouettes can be found by flood fill.
 
-    shares: of each image's border, how much has just that colour; none where the background is no one colour. alpha: whether
-    it says already where the scene is.
+    shares: for each image the share in [0, 1] of its border pixels that have exactly the background's colour; empty where the background
+    is random. alpha: whether alpha is trained on; there is no need for a backdrop then.
     """
     if alpha or not shares:
         why = "Alpha says where the scene is." if alpha else "The background is no one colour."
@@ -91,17 +93,16 @@ def forward_facing(
     bounds: NDArray[Any] | None,
     alpha: bool,
 ) -> tuple[Decision, Ndc | None]:
-    """Whether normalised device coordinates suit the capture, and which.
+    """Decide whether to train in normalised device coordinates (NDC): (decision, the NDC or None).
 
-    points: [N, 3] world, what the source knows of the scene's surface, or None; bounds: [views, 2] nearest and farthest depth,
-    world units, or None. alpha: whether it cuts the scene out of its background. Raises SnergError when the settings want NDC
-    that these cameras cannot have.
+    points: [N, 3] on the scene's surfaces, world units, or None; bounds: [views, 2] nearest and farthest depth, world units, or None.
+    alpha: whether alpha is trained on. Raises SnergError when the setting is 'on' and NDC is impossible for these cameras.
     """
     frame = mean_frame(cameras)
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     angle = float(np.degrees(np.arccos(np.clip(axes @ -frame[:3, 2], -1, 1).min())))
     near, far = _depths(frame, cameras, points, bounds)
-    told = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
+    summary = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
     reasons = []
     if any(c.projection != "perspective" for c in cameras):
         reasons.append("some are orthographic")
@@ -113,12 +114,12 @@ def forward_facing(
         reasons.append("no plane in front of all cameras has the whole scene behind it")
     impossible = bool(reasons)
     if near is not None and far is not None and near > 0:
-        told += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
+        summary += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
         if far / near < DEEP:
             reasons.append("it is not deep")
     if alpha:
         reasons.append("alpha cuts it out of its background")
-    evidence = told + (f"; {' and '.join(reasons)}." if reasons else ".")
+    evidence = summary + (f"; {' and '.join(reasons)}." if reasons else ".")
     if setting == "on" and impossible:
         raise SnergError(f"These cameras cannot have normalised device coordinates: {reasons[0]}; set ndc to auto or off.")
     decision = decided("NDC", setting, not reasons, evidence, angle, FACING)
@@ -129,7 +130,7 @@ def forward_facing(
 
 
 def mean_frame(cameras: Sequence[Camera]) -> NDArray[Any]:
-    """[4, 4] rigid: the mean of the cameras' axes, made orthonormal, at the mean of their positions."""
+    """The mean camera-to-world pose [4, 4] of cameras, rigid: the mean of their axes, made orthonormal, at their mean position."""
     u, _, vt = np.linalg.svd(np.mean([c.camera_to_world[:3, :3] for c in cameras], axis=0))
     frame = np.eye(4)
     frame[:3, :3] = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
@@ -140,7 +141,7 @@ def mean_frame(cameras: Sequence[Camera]) -> NDArray[Any]:
 def _depths(
     frame: NDArray[Any], cameras: Sequence[Camera], points: NDArray[Any] | None, bounds: NDArray[Any] | None
 ) -> tuple[float | None, float | None]:
-    """Nearest and farthest depth of the scene along the frame's axis; None where the source knows neither."""
+    """(nearest, farthest) depth of the scene along the frame's -z axis, world units; (None, None) without bounds and enough points."""
     if bounds is not None:
         ahead = np.array([(c.position - frame[:3, 3]) @ -frame[:3, 2] for c in cameras])
         return float((bounds[:, 0] + ahead).min()), float((bounds[:, 1] + ahead).max())
@@ -151,7 +152,8 @@ def _depths(
 
 
 def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[Any]]:
-    """The domain of a forward-facing capture, what the cameras see of device coordinates, and its cells that one sees, bool [CELLS^3]."""
+    """(domain, occupancy bool [CELLS^3]) of a forward-facing capture in NDC: the part of NDC that the cameras see, and its cells that at
+    least one camera sees, with one more cell on every side. Raises SnergError when no camera looks along the axis of the frame."""
     ends = []
     for camera in cameras:
         edge = [(x, y) for x in (0, camera.width // 2, camera.width - 1) for y in (0, camera.height // 2, camera.height - 1)]
@@ -176,7 +178,7 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[An
 
 
 def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], ndc: bool) -> Decision:
-    """Whether samples at equal distances in 1 / distance serve better than in distance.
+    """Decide whether samples are evenly spaced in disparity (1 / distance) instead of distance: yes where far / near is at least RANGE.
 
     origins, directions [N, 3] and near [N]: rays in field coordinates. setting: 'auto', 'linear' or 'disparity'.
     """
@@ -196,10 +198,10 @@ def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: N
 def sampling(
     settings: TrainSettings, domain: Domain, alive: NDArray[Any], origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any]
 ) -> Decision:
-    """Whether a second network must look where the first one found something.
+    """Decide whether hierarchical sampling, with a coarse and a fine network, is needed.
 
-    Packed samples stand at the final spacing from each other already, and nowhere that nothing is. Evenly spaced ones do without
-    where there are enough of them for the final spacing. origins, directions [N, 3] and near [N]: rays in field coordinates.
+    The packed sampler does not need it: its samples have the final spacing and lie in occupied cells. Even samples do not need it where
+    settings.coarse of them have at most the final spacing. origins, directions [N, 3] and near [N]: rays in field coordinates.
     """
     if settings.sampler == "packed":
         filled = share_filled(domain, alive, origins, directions, near)
@@ -224,6 +226,6 @@ def share_filled(domain: Domain, alive: NDArray[Any], origins: NDArray[Any], dir
 
 
 def suggested(box: Box) -> Domain:
-    """The domain of a box before anything is known of what it holds."""
+    """The domain that contains a box."""
     corners = box.corners()
     return Domain.around(corners.min(axis=0), corners.max(axis=0))

@@ -1,4 +1,4 @@
-"""What training runs on: this machine's devices, or those of several machines together. JAX only where it is asked for."""
+"""The devices that training runs on: those of this machine, or of several machines together. JAX is imported only inside functions."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ PATIENCE = 120  # seconds to wait for the other processes
 
 
 def connect(coordinator: str, processes: int, process: int) -> None:
-    """Join the other processes of one training (jax.distributed); call it before anything else touches JAX.
+    """Join the other processes of a distributed training (jax.distributed.initialize). Call it before any other use of JAX.
 
-    coordinator: HOST:PORT at which process 0 can be reached; processes: how many there are; process: which one this is, from
-    0. All read the same dataset and folder, and process 0 alone writes. Raises SnergError when these make no sense, JAX is
-    missing, or the others do not come.
+    coordinator: HOST:PORT of process 0; processes: the number of processes; process: the index of this one, from 0. All processes read
+    the same dataset and folder; only process 0 writes. Raises SnergError when an argument is invalid, JAX is missing, or the other
+    processes do not join in time.
     """
     if not re.fullmatch(r"\S+:\d{1,5}", coordinator) or not 0 < int(coordinator.rsplit(":", 1)[1]) < 2**16:
         raise SnergError(f"The coordinator is {coordinator!r}; give the host and port of process 0, such as 192.168.0.10:8476.")
@@ -36,8 +36,8 @@ def connect(coordinator: str, processes: int, process: int) -> None:
         bound = own_address(coordinator)
         jax.distributed.initialize(coordinator, processes, process, initialization_timeout=PATIENCE, coordinator_bind_address=bound)
     except Exception as error:  # whatever it is that keeps them apart, JAX has no type of its own for it
-        told = f"Process {process} cannot join the others at {coordinator} ({_first_line(error)})"
-        raise SnergError(f"{told}; start all of them, and check the port.") from error
+        problem = f"Process {process} cannot join the others at {coordinator} ({_first_line(error)})"
+        raise SnergError(f"{problem}; start all of them, and check the port.") from error
 
 
 def own_address(coordinator: str) -> str | None:
@@ -55,10 +55,10 @@ def own_address(coordinator: str) -> str | None:
 
 
 def device_report() -> dict[str, Any]:
-    """What training would use, as JSON values: {"jax", "platform", "devices", "processes", "cores", "training"}.
+    """The devices that a training would use, as JSON values: {"jax", "platform", "devices", "processes", "cores", "training"}.
 
-    devices: [{"kind", "memory_gb"}], memory_gb None where JAX does not say; training: a sentence. Where JAX is missing, or
-    finds no device that works, jax or platform is None and the sentence says what to do.
+    devices: [{"kind", "memory_gb"}], memory_gb None where JAX does not report it; training: a sentence for the user. Where JAX is
+    missing or finds no working device, jax or platform is None and the sentence gives the remedy.
     """
     report: dict[str, Any] = {"jax": None, "platform": None, "devices": [], "processes": 1, "cores": os.cpu_count()}
     try:

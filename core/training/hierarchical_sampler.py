@@ -1,4 +1,4 @@
-"""Training with NeRF's hierarchical sampling: a coarse network finds out where a fine one has to look (JAX)."""
+"""Training with NeRF's hierarchical sampling (section 5.2): the weights of a coarse network place the samples of a fine one. Needs JAX."""
 
 from __future__ import annotations
 
@@ -23,20 +23,22 @@ from .ray_dataset import RayDataset
 from .sampler import Batch
 from .validation import ValidationRays
 
-UPDATE_CELLS = 2**16  # of the occupancy grid, looked at in one update
+UPDATE_CELLS = 2**16  # cells of the occupancy grid that are measured in one update
 UPDATE_EVERY = 256  # steps
 QUERY = 8192  # points a call when the density alone is asked for
-PADDING = 1e-5  # of the fine samples are spread evenly over a ray
+PADDING = 1e-5  # probability that a fine sample is drawn evenly over the ray
 
 
 class HierarchicalSampler:
     """Draws rays; the loss samples them. It implements `sampler.Sampler`.
 
-    The occupancy grid takes no part in sampling: it says where the trained field holds something.
+    The occupancy grid is not used for sampling; it is measured for the finished field.
     """
 
-    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator) -> None:
-        self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
+    def __init__(
+        self, settings: TrainSettings, ray_dataset: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator
+    ) -> None:
+        self.settings, self.ray_dataset, self.domain, self.rng = settings, ray_dataset, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = alive
         family = settings.family
@@ -55,12 +57,12 @@ class HierarchicalSampler:
         return in_chunks(lambda part: (self._density(params["field"], part),), x, QUERY)[0]
 
     def batch(self, params: Any, fraction: float) -> Batch:
-        """A step's rays. Raises SnergError when distances in disparity are asked for of a ray that begins at its camera."""
+        """The rays of a step. Raises SnergError when settings.distances is 'disparity' and a ray begins at distance 0."""
         count = self.settings.rays
-        index = self.pool.draw(count, self.rng)
-        arrays = self._arrays(*self.pool.rays(index))
+        index = self.ray_dataset.draw(count, self.rng)
+        arrays = self._arrays(*self.ray_dataset.rays(index))
         used = arrays["used"]
-        arrays["target"] = self.pool.pixels[index]
+        arrays["target"] = self.ray_dataset.pixels[index]
         arrays["seed"] = self.rng.integers(0, 2**32, count, np.uint32)
         arrays["rays"] = np.float32(max(used.sum(), 1))
         if self.settings.background != "white":
@@ -71,7 +73,7 @@ class HierarchicalSampler:
 
     def colours(self, params: Any, rays: ValidationRays, fraction: float) -> NDArray[Any]:
         """Colours [R, 3] float32 of rays over their background; the same rays always get the same samples."""
-        arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.looking)
+        arrays = self._arrays(rays.origins, rays.directions, rays.near, rays.far, rays.view_directions)
         count, some = len(rays.near), self.settings.rays_at_once
         arrays |= {"seed": np.arange(count, dtype=np.uint32), "background": rays.background}
         seen = []
@@ -81,9 +83,9 @@ class HierarchicalSampler:
         return np.where(arrays["used"][:, None], np.concatenate(seen)[:count], rays.background)
 
     def _arrays(
-        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], far: NDArray[Any], looking: NDArray[Any]
+        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], far: NDArray[Any], view_directions: NDArray[Any]
     ) -> dict[str, Any]:
-        """Rays [R] as `render_rays` wants them, and which are "used": those that meet the domain."""
+        """The rays as the arrays that `render_rays` takes, and "used", bool [R]: whether a ray meets the domain."""
         near, leave = clip_rays(self.domain, origins, directions, near)
         far = np.minimum(leave, far)
         used = far > near
@@ -93,12 +95,12 @@ class HierarchicalSampler:
                 "nothing nearest set; give the cameras a near distance, or set distances=linear."
             )
         near, far = np.where(used, near, 1), np.where(used, far, 2)  # the others count nothing, and must be finite
-        arrays = {"origins": origins, "directions": directions, "looking": unit(looking), "near": near, "far": far}
+        arrays = {"origins": origins, "directions": directions, "view_directions": unit(view_directions), "near": near, "far": far}
         return {name: value.astype(np.float32) for name, value in arrays.items()} | {"used": used}
 
     def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """See `rays_loss`, over all rays of a batch or of a device's part of it."""
-        return rays_loss(self.settings, self.pool.alpha, params, batch)
+        return rays_loss(self.settings, self.ray_dataset.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What `restore` reads, named arrays of any shape."""
@@ -110,15 +112,15 @@ class HierarchicalSampler:
         self.occupied = self._occupied()
 
     def _occupied(self) -> NDArray[Any]:
-        """bool [CELLS^3]: where an interval of the final spacing has an opacity of 0.01 or more, or nobody has looked."""
+        """Occupied cells, bool [CELLS^3]: not measured yet, or with an opacity above 0.01 over one interval of the final spacing."""
         return self.occupancy.most > 0.01 / self.settings.spacing
 
 
 def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
     """Squared error of coarse and fine colours (eq. 3), sparsity (eq. 8) and alpha. aux: "error", the fine squared error alone.
 
-    Some rays at a time: the rest waits, and what the backward pass needs of them is computed again, so that memory does not
-    grow with the batch. All are sums over rays, divided by the number of rays in the whole batch.
+    Rays are processed settings.rays_at_once at a time, and the backward pass recomputes their activations, so that memory does not grow
+    with the batch. All results are sums over rays, divided by the number of rays in the whole batch.
     """
     whole = {name: value for name, value in batch.items() if jnp.ndim(value) == 0}
     each = {name: value for name, value in batch.items() if name not in whole}
@@ -136,7 +138,7 @@ def rays_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict
 
 
 def _part_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """`rays_loss` of rays that are in memory together."""
+    """`rays_loss` of one part of the rays, computed at once."""
     wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, batch.get("background", 1.0))
     used = batch["used"].astype(jnp.float32) / batch["rays"]
     loss = error = jnp.float32(0)
@@ -149,7 +151,7 @@ def _part_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
 
 
 class Seen(NamedTuple):
-    """What rays see: colour [R, 3], transmittance [R], and the mean Cauchy loss [R] of samples of equal spacing (section 4.3)."""
+    """Rendered rays: colour [R, 3] over the background, transmittance [R], mean sparsity loss [R] (eq. 8) of the evenly spaced samples."""
 
     colour: Any
     transmittance: Any
@@ -157,10 +159,12 @@ class Seen(NamedTuple):
 
 
 def render_rays(settings: TrainSettings, params: Any, batch: dict[str, Any]) -> tuple[Seen, ...]:
-    """What the coarse and the fine network show along rays, the fine one at the coarse one's samples and at those drawn from
-    its weights (NeRF, section 5.2). Where there is no "coarse" network, what the one there is shows at evenly spaced samples.
+    """Render rays with the coarse and the fine network: (coarse, fine), or (the network,) where `params` has no "coarse" network.
 
-    batch: "origins", "directions" [R, 3] and "near", "far" [R] in the field's coordinates, "looking" [R, 3] unit, world axes,
+    The coarse network, or the only one, has stratified samples; the fine one has these and samples drawn from the coarse weights (NeRF,
+    section 5.2).
+
+    batch: "origins", "directions" [R, 3] and "near", "far" [R] in the field's coordinates, "view_directions" [R, 3] unit, world axes,
     "seed" [R] uint32, each ray's own random numbers, and "background" [R, 3] unless it is white.
     """
     random = partial(_uniform, batch["seed"])
@@ -188,7 +192,7 @@ def _march(settings: TrainSettings, params: Any, batch: dict[str, Any], along: A
     rays, count = along.shape
     points = batch["origins"][:, None] + batch["directions"][:, None] * along[..., None]
     raw, values = raw_outputs(jnp, family, params["field"], field_inputs(jnp, family, points.reshape(-1, 3)))
-    values = sample_values(jnp, view, family, params, values, jnp.repeat(batch["looking"], count, axis=0))
+    values = sample_values(jnp, view, family, params, values, jnp.repeat(batch["view_directions"], count, axis=0))
     raw = raw.reshape(rays, count)
     sparsity = cauchy(jnp, density_of(jnp, family, jnp.take_along_axis(raw, uniform, axis=-1))).mean(axis=-1)
     if settings.density_noise:
@@ -197,9 +201,9 @@ def _march(settings: TrainSettings, params: Any, batch: dict[str, Any], along: A
     depth = optical_depth(jnp, density_of(jnp, family, raw), jnp.diff(borders, axis=-1))
     if settings.opaque:
         depth = depth.at[:, -1].set(MAX_OPTICAL_DEPTH)
-    gathered, through, weights = composite_rows(jnp, depth, values.reshape(rays, count, -1))
-    colour = ray_colour(jnp, view, params, gathered, through, batch["looking"], batch.get("background", 1.0))
-    return Seen(colour, through, sparsity), weights, borders
+    gathered, transmittance, weights = composite_rows(jnp, depth, values.reshape(rays, count, -1))
+    colour = ray_colour(jnp, view, params, gathered, transmittance, batch["view_directions"], batch.get("background", 1.0))
+    return Seen(colour, transmittance, sparsity), weights, borders
 
 
 def stratified(xnp: Any, near: Any, far: Any, random: Any, disparity: bool) -> Any:
@@ -216,16 +220,17 @@ def stratified(xnp: Any, near: Any, far: Any, random: Any, disparity: bool) -> A
 
 
 def spread(random: Any) -> Any:
-    """[R, K] in [0, 1) to one number in each of K equal parts of [0, 1), increasing."""
+    """Stratified random numbers [R, K] in [0, 1), ascending, one in each of K equal parts, from uniform ones [R, K] in [0, 1)."""
     count = random.shape[-1]
     return (jnp.arange(count, dtype=np.float32) + random) / count
 
 
 def resampled(borders: Any, weights: Any, chances: Any) -> Any:
-    """Distances [R, M] distributed as weights [R, K] over intervals with borders [R, K + 1] (NeRF, section 5.2).
+    """Distances [R, M] drawn by inverse transform sampling from a piecewise constant density (NeRF, section 5.2).
 
-    chances: [R, M] in [0, 1). Of the samples a share of 1e-5 is spread over all intervals, however small the weights are
-    (hard case 15). Weights that are not finite give distances that are not, so that a step with them is skipped (hard case 16).
+    The density has weights [R, K] on intervals with borders [R, K + 1], which are distances in field coordinates. chances: [R, M], uniform
+    random numbers in [0, 1). The probability PADDING is spread evenly over the K intervals, so that each can be drawn, also where
+    all weights are 0 (hard case 15). Weights that are not finite give NaN, so that the step is skipped (hard case 16).
     """
     total = weights.sum(axis=-1, keepdims=True)
     some = ~(total <= 1e-30)  # a NaN is some
@@ -241,7 +246,7 @@ def resampled(borders: Any, weights: Any, chances: Any) -> Any:
 
 
 def _uniform(seeds: Any, stream: int, count: int) -> Any:
-    """[R, count] in [0, 1): each ray has its own numbers, whatever else is in its batch."""
+    """Uniform random numbers [R, count] in [0, 1), from each ray's own seed: they do not depend on the other rays of the batch."""
     return jax.vmap(lambda seed: jax.random.uniform(_key(seed, stream), (count,)))(seeds)
 
 

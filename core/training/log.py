@@ -1,4 +1,4 @@
-"""The log of a training, a JSON object a line: what a curve is drawn from, while it trains and after."""
+"""The log of a training, one JSON object a line, from which learning curves are drawn, also while it runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ MAX_BYTES = 2**26
 
 
 class Log:
-    """Lines added to FOLDER/log.jsonl. What a killed training logged after `step`, where this one goes on, is taken back.
+    """Appends lines to FOLDER/log.jsonl. step: the step at which the training begins or is resumed; later lines, which a killed training
+    logged after its last save, are removed first.
 
     Raises SnergError when the folder cannot be written.
     """
@@ -46,10 +47,11 @@ def _line(values: dict[str, Any]) -> bytes:
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The lines of a training's log in order, [] where there is none; a line cut short, by a crash or just now, is left out.
+    """The lines of a training's log in order; [] when there is no log. An incomplete line, left by a crash or still being written, is
+    omitted.
 
-    Training lines have step, seconds, fraction, loss, psnr (dB, of training rays), rate, samples, rays; held-out lines step,
-    seconds, held_out_psnr (dB). Raises SnergError when the file cannot be read.
+    Lines about training have step, seconds, fraction, loss, psnr (dB, of training rays), rate, samples and rays; lines about held-out
+    views have step, seconds and held_out_psnr (dB). Raises SnergError when the file cannot be read.
     """
     path = folder / FILE
     with reading(path, "delete it"):

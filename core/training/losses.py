@@ -1,4 +1,4 @@
-"""Losses of training (eqs. 3 and 8, and one of ours), and what stands behind the images."""
+"""Losses of training (eqs. 3 and 8, and one of our own), and background colours."""
 
 from __future__ import annotations
 
@@ -22,29 +22,32 @@ def cauchy(xnp: Any, density: Any, c: float = 0.5) -> Any:
 
 
 def softness(weights: Any) -> Any:
-    """w (1 - w), elementwise, of the weights with which samples are composited: over a ray, 0 where one sample takes all its light, or
-    none any, and near the ray's opacity where many share it.
+    """The opacity regulariser w (1 - w), elementwise, of compositing weights w. Method of our own, after priors for hard surfaces.
 
-    Ours, in the manner of priors for hard surfaces. Its slope is at most 1 where that of the squared error grows with the error, so that
-    fog, which images call for, stays: what it decides is what they leave open, how far light goes into what ends it.
+    Its sum over a ray is 0 where one sample has weight 1, or all have weight 0; it is near the ray's opacity where many samples share it.
+    Its slope is at most 1, whereas that of the squared error grows with the error: density that the images need, such as fog, stays,
+    and only the depth over which an opaque surface absorbs, which the images do not determine, becomes small.
     """
     return weights * (1 - weights)
 
 
 def plain_colour(name: str) -> NDArray[Any] | None:
-    """The colour, uint8 [3], of a background called 'white', 'black' or '#rrggbb'; None for 'random', which is a new one each ray."""
+    """The colour, uint8 [3], of the background 'white', 'black' or '#rrggbb'; None for 'random', a new random colour for each ray."""
     value = {"white": "#ffffff", "black": "#000000"}.get(name, name)
     return np.array(list(bytes.fromhex(value[1:])), np.uint8) if re.fullmatch("#[0-9a-fA-F]{6}", value) else None
 
 
 def shown_over(name: str) -> NDArray[Any]:
-    """The colour, float32 [3] in [0, 1], behind what a field is measured on: its training's; white where that is 'random'."""
+    """The background colour, float32 [3] in [0, 1], over which a field is evaluated.
+
+    name: the training's setting `background`. It is the colour of that name; white for 'random'.
+    """
     colour = plain_colour(name)
     return np.ones(3, np.float32) if colour is None else colour.astype(np.float32) / 255
 
 
 def backgrounds(name: str, rays: int, rng: np.random.Generator) -> NDArray[Any]:
-    """Colours [rays, 3] float32 behind rays, see `plain_colour`."""
+    """Background colours [rays, 3] float32 in [0, 1] for training rays; `name`: see `plain_colour`."""
     colour = plain_colour(name)
     if colour is None:
         return rng.random((rays, 3), np.float32)
@@ -52,7 +55,7 @@ def backgrounds(name: str, rays: int, rng: np.random.Generator) -> NDArray[Any]:
 
 
 def over(target: Any, background: Any = 1.0) -> tuple[Any, Any]:
-    """Images' straight-alpha pixels [N, 4] in [0, 1] over a background [N, 3] (1: white): colour [N, 3] and alpha [N]."""
+    """Composite pixels [N, 4] in [0, 1] with straight alpha over a background [N, 3] (1: white): (colour [N, 3], alpha [N])."""
     alpha = target[:, 3:]
     return target[:, :3] * alpha + (1 - alpha) * background, alpha[:, 0]
 

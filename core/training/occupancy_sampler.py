@@ -1,4 +1,4 @@
-"""Training on packed samples: those of an occupied cell only, the rays of a step one after another (JAX)."""
+"""Training on packed samples (Mueller et al. 2022, section 5): samples in occupied cells only, in one list, ray after ray. Needs JAX."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from .termination_depth import DARK, LEFT, TerminationDepths
 from .validation import ValidationRays, packed_colours
 
 MARGIN = 2  # samples that a ray takes past the termination depth of its tile
-UPDATE_CELLS = 2**18  # of the occupancy grid, looked at in one update
+UPDATE_CELLS = 2**18  # cells of the occupancy grid that are measured in one update
 UPDATE_EVERY = 64  # steps
-WARM_UP = 256  # steps before an occupancy cell may be given up
+WARM_UP = 256  # steps before an occupancy cell may become empty
 SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (math.inf, 1))  # (until this fraction of a minute's training, times the final spacing)
 STEPS_A_MINUTE = 1200  # of a training that has steps and no time, about
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnRays:
-    """What `learn` needs of the last batch: R rays drawn, N samples."""
+    """The R rays and N samples of the last batch, as `learn` needs them."""
 
     tile: NDArray[Any]  # [R] tiles of the rays
     skipped: NDArray[Any]  # bool [R], cut by the termination depth before their first sample
@@ -47,11 +47,13 @@ class DrawnRays:
 class OccupancySampler:
     """Draws rays and packs the samples in occupied cells; updates the occupancy grid and the termination depths from each step."""
 
-    def __init__(self, settings: TrainSettings, pool: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator) -> None:
-        self.settings, self.pool, self.domain, self.rng = settings, pool, domain, rng
+    def __init__(
+        self, settings: TrainSettings, ray_dataset: RayDataset, domain: Domain, alive: NDArray[Any], rng: np.random.Generator
+    ) -> None:
+        self.settings, self.ray_dataset, self.domain, self.rng = settings, ray_dataset, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = self.occupancy.occupied
-        self.termination = TerminationDepths(pool)
+        self.termination = TerminationDepths(ray_dataset)
         self.coarse_share = coarse_share(settings)
         self.most_rays = max(settings.samples // 4, 64)
         self.samples_per_ray = 32.0
@@ -59,7 +61,8 @@ class OccupancySampler:
         self._outputs = jax.jit(partial(field_outputs, jnp, settings.family))
 
     def spacing(self, fraction: float) -> float:
-        """Distance between samples: coarse first, so that a step sees many rays while the shape is still rough."""
+        """The sample spacing in field coordinates at a fraction of the training in [0, 1]. It is large at first (see SPACINGS), so that a
+        step covers many rays while the geometry is still rough."""
         return self.settings.spacing * next(factor for until, factor in SPACINGS if fraction < until * self.coarse_share)
 
     def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
@@ -91,8 +94,8 @@ class OccupancySampler:
         """A step's rays and packed samples. Rays are whole: from where they enter the domain to their tile's termination depth."""
         size, most, length = self.settings.samples, self.most_rays, self.spacing(fraction)
         draw = int(min(size / self.samples_per_ray, most - 1))
-        index = self.pool.draw(draw, self.rng)
-        origin, direction, near, far, looking = self.pool.rays(index)
+        index = self.ray_dataset.draw(draw, self.rng)
+        origin, direction, near, far, view_directions = self.ray_dataset.rays(index)
         tile = self.termination.tile(index)
         until = self.termination.depths[tile] + MARGIN * length
         got = pack_samples(self.domain, self.occupied, origin, direction, length, self.rng.random(draw), near, far, until)
@@ -109,8 +112,8 @@ class OccupancySampler:
             "inputs": self._inputs(filled(size, got.points[:count])),
             "ray": ray,
             "valid": np.arange(size) < count,
-            "directions": filled(most, looking.astype(np.float32), [0, 0, 1]),
-            "target": filled(most, self.pool.pixels[index]),
+            "directions": filled(most, view_directions.astype(np.float32), [0, 0, 1]),
+            "target": filled(most, self.ray_dataset.pixels[index]),
             "used": used,
             "cut": filled(most, got.cut),
             "length": np.float32(got.length),
@@ -137,7 +140,7 @@ class OccupancySampler:
 
     def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """See `batch_loss`."""
-        return batch_loss(self.settings, self.pool.alpha, params, batch)
+        return batch_loss(self.settings, self.ray_dataset.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What `restore` reads, named arrays of any shape."""
@@ -162,31 +165,34 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
     density = density_of(jnp, settings.family, raw + batch["noise"] if "noise" in batch else raw)
     values = sample_values(jnp, view, settings.family, params, values, directions[ray])
     depth = optical_depth(jnp, jnp.where(batch["valid"], density, 0), batch["length"])
-    gathered, through, weights = composite(jnp, depth, values, ray, len(directions))
+    gathered, transmittance, weights = composite(jnp, depth, values, ray, len(directions))
     background = batch.get("background", 1.0)
-    colour = ray_colour(jnp, view, params, gathered, through, directions, background)
+    colour = ray_colour(jnp, view, params, gathered, transmittance, directions, background)
     wanted, alpha = over(batch["target"].astype(jnp.float32) / 255, background)
-    used = (batch["used"] & ~(batch["cut"] & (through > LEFT))).astype(jnp.float32)
+    used = (batch["used"] & ~(batch["cut"] & (transmittance > LEFT))).astype(jnp.float32)
     error = (((colour - wanted) ** 2).mean(axis=-1) * used).sum() / batch["rays"]
     loss = error + settings.sparsity * (cauchy(jnp, density) * batch["valid"]).sum() / batch["count"]
     if settings.hardness:
         loss = loss + settings.hardness * (softness(weights) * used[ray]).sum() / batch["rays"]
     if has_alpha:
-        loss = loss + settings.alpha * ((1 - through - alpha) ** 2 * used).sum() / batch["rays"]
+        loss = loss + settings.alpha * ((1 - transmittance - alpha) ** 2 * used).sum() / batch["rays"]
     lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))
     per_ray = jnp.zeros((len(directions), 2)).at[ray].add(jnp.stack([lit, depth], axis=-1), indices_are_sorted=True)
     return loss, {"error": error, "lit_samples": per_ray[:, 0], "depth": per_ray[:, 1]}
 
 
 def coarse_share(settings: TrainSettings) -> float:
-    """How much shorter than of a minute's training the coarse part of this one is, 0..1: the shape takes longer in a longer
-    training, but not in proportion (measured: 0.5 after five minutes gains 0.17 dB, after one minute it loses 0.7)."""
+    """The factor in (0, 1] by which the fractions of SPACINGS, which hold for one minute's training, are multiplied for this training.
+
+    A longer training spends more time at coarse spacings, but a smaller share of its time (measured: a factor of 0.5 gains 0.17 dB in
+    a training of five minutes and loses 0.7 dB in one of one minute).
+    """
     minutes = (settings.seconds or 0) / 60 if settings.steps is None else settings.steps / STEPS_A_MINUTE
     return float(min(1.0, minutes**-0.4))
 
 
 def filled(size: int, values: NDArray[Any], rest: Any = 0) -> NDArray[Any]:
-    """The values [n, ...] and then `rest`, [size, ...] in all."""
+    """Pad the values [n, ...] with `rest` to [size, ...]."""
     result = np.empty((size, *values.shape[1:]), values.dtype)
     result[: len(values)] = values
     result[len(values) :] = rest

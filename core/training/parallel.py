@@ -1,4 +1,4 @@
-"""One step of training on all devices: each has a part of the batch and all of the parameters (JAX)."""
+"""Data-parallel training: each device computes a part of the batch, with a copy of all parameters. Needs JAX."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PACKED = ("inputs", "ray", "valid", "noise")  # have an axis of samples
 
 
 class Devices:
-    """All devices that JAX sees, in all processes. With one, arrays and steps are just what they would be without this class."""
+    """All devices that JAX finds, in all processes. With one device, arrays and steps are the same as without this class."""
 
     def __init__(self) -> None:
         self.count = len(jax.devices())
@@ -29,11 +29,11 @@ class Devices:
         self._mesh = Mesh(np.array(jax.devices()), ("part",)) if self.count > 1 else None
 
     def place(self, tree: Any) -> Any:
-        """Arrays onto every device, each whole. Processes must all give the same."""
+        """Copy a tree of arrays to every device. All processes must pass the same values."""
         return jax.tree.map(jax.numpy.array if self._mesh is None else partial(self._put, PartitionSpec()), tree)
 
     def local(self, tree: Any) -> Any:
-        """Arrays from `place`, or that a step gave, as this process's first device has them."""
+        """The copies on this process's first device of arrays that `place` or a step returned."""
         return tree if self._mesh is None else jax.tree.map(lambda a: a.addressable_data(0), tree)
 
     def step(self, settings: TrainSettings, loss_of: Loss) -> Any:
@@ -44,7 +44,7 @@ class Devices:
         return jax.jit(partial(train_step, settings, self._added(loss_of)), donate_argnums=(0, 1), out_shardings=everywhere)
 
     def _added(self, loss_of: Loss) -> Loss:
-        """A loss over all parts from one over a part: losses are sums over what is in the part, so they only add up."""
+        """The loss of a whole batch from the loss of a part. Losses are sums over rays and samples, so those of the parts are added."""
 
         def part_of(params: Any, parts: Any, whole: Any) -> Any:
             mine = jax.tree.map(lambda a: a[0], parts)
@@ -55,7 +55,7 @@ class Devices:
         return lambda params, batch: everywhere(params, batch["parts"], batch["whole"])
 
     def feed(self, settings: TrainSettings, arrays: dict[str, Any]) -> Any:
-        """A step's batch for `step`. Every process draws the same batch, and its devices get their parts of it."""
+        """Split a batch among the devices, as the argument of `step`. Every process draws the same whole batch."""
         if self._mesh is None:
             return arrays
         parts, whole = split_batch(arrays, self.count, longest_ray(settings))
@@ -63,18 +63,21 @@ class Devices:
         return {"parts": jax.tree.map(put, parts), "whole": self.place(whole)}
 
     def shared(self, value: float) -> float:
-        """Process 0's value, in all processes: what depends on the clock must be the same everywhere."""
+        """The value of process 0, in all processes. Values that depend on the clock must be the same in all of them."""
         return value if self.processes == 1 else float(multihost_utils.broadcast_one_to_all(np.float32(value)))
 
     def agreed(self, elapsed: float, stop: bool) -> tuple[float, bool]:
-        """Process 0's clock, and whether any process is to stop, in all processes: one that left alone would leave the others waiting."""
+        """(seconds of process 0, whether any process is to stop), the same in all processes.
+
+        All must stop after the same step: if one stopped alone, the others would wait for it for ever.
+        """
         if self.processes == 1:
             return elapsed, stop
         gathered = multihost_utils.process_allgather(np.array([elapsed, stop], np.float32))
         return float(gathered[0, 0]), bool(gathered[:, 1].any())
 
     def leave(self) -> None:
-        """Part from the other processes, all of which must call this now: one that only ended would be an error to the others."""
+        """Leave the distributed training. All processes must call this: JAX in the others reports a process that just ends as an error."""
         if self.processes > 1:
             jax.distributed.shutdown()
 
@@ -84,16 +87,16 @@ class Devices:
 
 
 def longest_ray(settings: TrainSettings) -> int:
-    """Samples that one ray can have in the field's cube at its final spacing."""
+    """The largest number of samples of one ray in the cube [-1, 1]^3 at the final spacing."""
     return math.ceil(2 * math.sqrt(3) / settings.spacing) + 2
 
 
 def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Cut a step's batch on the host: (arrays [parts, ...] of which each device gets one, arrays that all get).
+    """Split a step's batch on the host: (arrays [parts, ...], one part for each device; arrays that every device gets whole).
 
-    Packed samples are cut between rays, so that no ray is composited in two places; rays keep their numbers, and a part's
-    `used` are its own. A part has room for its share and `longest`, the most samples that a ray can have. Other batches have
-    rays along every first axis of the same length; raises SnergError when `parts` does not divide it.
+    A batch of packed samples is split between rays, so that each ray is composited on one device. Rays keep their numbers; `used` of a
+    part marks its own rays. A part has room for its share of the samples plus `longest`, the largest number of samples of a ray.
+    Any other batch has arrays [rays, ...]; raises SnergError when the number of rays is not a multiple of `parts`.
     """
     if "ray" not in arrays:
         return _split_rays(arrays, parts)

@@ -1,4 +1,4 @@
-"""What is known before the first training step: the pixels, the domain, the decisions and the sampler (needs JAX)."""
+"""Prepares a training before its first step: reads the pixels, finds the domain, decides 'auto' settings, makes the sampler. Needs JAX."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def prepare(dataset: Dataset, settings: TrainSettings, progress: Progress, held_
 
 
 def read_pixels(dataset: Dataset, settings: TrainSettings, masks: Masks, progress: Progress) -> tuple[RayDataset, Decision]:
-    """All pixels of the dataset, and the decision whether their alpha counts. Without it they are composited over white."""
+    """(all pixels of the dataset with their rays, the decision whether alpha is trained on). If not, pixels are composited over white."""
     count = len(dataset.views)
 
     def images(opaque: bool) -> Iterator[NDArray[Any]]:
@@ -102,7 +102,7 @@ def find_domain(
 ) -> tuple[Domain, Ndc | None, NDArray[Any], list[Decision]]:
     """(domain, device coordinates or None, cells that may hold something bool [CELLS ** 3], decisions).
 
-    A forward-facing capture lives in normalized device coordinates; any other in the visual hull of its silhouettes.
+    The domain of a forward-facing capture is in normalised device coordinates; that of any other is the visual hull of its silhouettes.
     """
     decision, ndc = decisions.forward_facing(settings.ndc, dataset.cameras, dataset.points, dataset.bounds, rays.alpha)
     if ndc is not None:
@@ -119,7 +119,7 @@ def find_silhouettes(
 ) -> tuple[Sequence[NDArray[Any] | None], Decision]:
     """(each view's silhouette, bool [H, W], or None where its image has none; the decision on the backdrop).
 
-    A silhouette is where alpha is above 0, or what stands out from a plain backdrop. Rays far from every silhouette are dropped.
+    A silhouette is where alpha is above 0, or everything but a plain backdrop. Pixels far from their view's silhouette are not drawn.
     """
     cameras, background = dataset.cameras, plain_colour(settings.background)
     bounds = zip(rays.starts, rays.ends, cameras, strict=True)

@@ -1,4 +1,4 @@
-"""All pixels of a dataset, and the rays through them in the field's coordinates."""
+"""All pixels of a dataset, and their rays in field coordinates."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ..nerf.sampling import Domain, dilated
 
 
 class RayDataset:
-    """Pixels by number, view after view, row by row.
+    """The pixels of all views and their rays. Pixels are numbered view after view, row by row.
 
-    pixels: [N, 4] uint8, sRGB with straight alpha, 255 where an image has none. alpha: whether every image has it and it
-    varies. withheld: [views] bool, views that `draw` passes over; set it at will.
+    pixels: [N, 4] uint8, sRGB with straight alpha, which is 255 where an image has none. alpha: whether every image has an alpha channel
+    and some pixel is not opaque. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
     """
 
     def __init__(
@@ -30,8 +30,8 @@ class RayDataset:
         masks: Sequence[NDArray[Any] | None] | None = None,
         ndc: Ndc | None = None,
     ) -> None:
-        """images: one at a time, uint8 [H, W, 3 or 4] of its camera's size. masks: a view's [H, W] bool, False where a pixel is
-        not to be learned from, or None for all. Raises SnergError when the masks leave nothing."""
+        """images: for each camera, uint8 [H, W, 3 or 4] of its size; read one at a time. masks: for each view bool [H, W], False for pixels
+        that are excluded from training, or None. Raises SnergError when the masks exclude every pixel."""
         self.domain, self.ndc = domain, ndc
         self.widths = np.array([c.width for c in cameras])
         self.ends = np.cumsum([c.width * c.height for c in cameras])
@@ -48,14 +48,14 @@ class RayDataset:
         self.useful = self._unmasked(cameras, masks or [None] * len(cameras))
 
     def _set_lenses(self, cameras: Sequence[Camera]) -> None:
-        """Equal lenses are one."""
+        """Collect the distinct distortions, so that rays of all views with the same one are undistorted together."""
         kinds = list(dict.fromkeys(c.distortion for c in cameras))
         self.lens = np.array([kinds.index(c.distortion) for c in cameras])
         straight = Distortion("opencv")
         self.lenses = Lenses([k or straight for k in kinds]) if kinds != [None] else None
 
     def _fill(self, images: Iterable[NDArray[Any]]) -> bool:
-        """Put the images in their places, and say whether they have an alpha that varies."""
+        """Copy the images into `pixels`. Returns whether every image has an alpha channel and some pixel is not opaque."""
         everywhere, varies = True, False
         for start, end, image in zip(self.starts, self.ends, images, strict=True):
             place = self.pixels[start:end]
@@ -66,21 +66,21 @@ class RayDataset:
         return everywhere and varies
 
     def keep_near(self, silhouettes: Sequence[NDArray[Any]], masks: Sequence[NDArray[Any] | None]) -> None:
-        """Draw only what no mask hides and what is on or near the scene, because the other rays miss it and teach nothing.
+        """Let `draw` draw only pixels in or near a silhouette, and not excluded by a mask: other rays miss the scene.
 
-        silhouettes: of each view [H, W] bool; masks: as for the constructor. Silhouettes that hold nothing change nothing.
+        silhouettes: for each view bool [H, W]; masks: as for the constructor. Nothing changes when no pixel would be left.
         """
         near = [dilated(s, max(s.shape) // 40 + 2) for s in silhouettes]
         kept = self._numbers([n if m is None else n & m for n, m in zip(near, masks, strict=True)])
         self.useful = kept if len(kept) else self.useful
 
     def _numbers(self, keep: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        """The numbers of the pixels kept, of each view [H, W] bool."""
+        """The numbers [K] of the pixels that are True in `keep`, bool [H, W] for each view."""
         kind = np.int32 if len(self.pixels) < 2**31 else np.int64
         return np.concatenate([(np.flatnonzero(k) + start).astype(kind) for start, k in zip(self.starts, keep, strict=True)])
 
     def _unmasked(self, cameras: Sequence[Camera], masks: Sequence[NDArray[Any] | None]) -> NDArray[Any] | None:
-        """The numbers of the pixels that no mask hides, None where all are."""
+        """The numbers [K] of the pixels that no mask excludes; None where no view has a mask. Raises SnergError when there are none."""
         if all(m is None for m in masks):
             return None
         kept = self._numbers([np.ones((c.height, c.width), bool) if m is None else m for c, m in zip(cameras, masks, strict=True)])
@@ -89,7 +89,10 @@ class RayDataset:
         return kept
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
-        """[count] pixel numbers, int64, of views that are not withheld. Raises SnergError when all are."""
+        """Draw `count` pixel numbers uniformly, with replacement, int64 [count], from the views that are not withheld.
+
+        Raises SnergError when all views are withheld, or nearly all pixels belong to withheld views.
+        """
         if self.withheld.all():
             raise SnergError("Every view is held out; there is none to train on.")
         index = self._draw(count, rng)
@@ -112,8 +115,11 @@ class RayDataset:
         return np.searchsorted(self.ends, index, side="right")
 
     def rays(self, index: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Origins and unit directions [N, 3], near and far [N] in the field's coordinates, and unit directions [N, 3] in the
-        world, all float64, of pixels by number (as Camera.rays and space_rays)."""
+        """The rays of pixels with numbers `index` [N]: (origins [N, 3], unit directions [N, 3], near [N], far [N], view directions [N, 3]).
+
+        All are float64 and in field coordinates, except the view directions, which are unit vectors in world axes. The same rays as those
+        of Camera.rays and `space_rays`.
+        """
         view = self._view(index)
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         flat = (np.stack([column, row], axis=-1) + 0.5 - self.centre[view]) / self.focal[view]
@@ -123,9 +129,9 @@ class RayDataset:
         across = pose[:, :3, 0] * flat[:, :1] - pose[:, :3, 1] * flat[:, 1:]
         back = pose[:, :3, 2]
         parallel = self.parallel[view, None]
-        looking = np.where(parallel, -back, across - back)
-        looking /= np.linalg.norm(looking, axis=-1, keepdims=True)
+        view_directions = np.where(parallel, -back, across - back)
+        view_directions /= np.linalg.norm(view_directions, axis=-1, keepdims=True)
         origins = np.where(parallel, pose[:, :3, 3] + across, pose[:, :3, 3])
-        origins, directions, near, far = space_rays(self.ndc, origins, looking, self.near[view])
+        origins, directions, near, far = space_rays(self.ndc, origins, view_directions, self.near[view])
         scale = self.domain.scale
-        return (origins - self.domain.centre) * scale, directions, near * scale, far * scale, looking
+        return (origins - self.domain.centre) * scale, directions, near * scale, far * scale, view_directions

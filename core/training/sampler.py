@@ -13,7 +13,7 @@ from .validation import ValidationRays
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What the loss of one step reads.
+    """The input of one step's loss.
 
     arrays: by name, always of the same shapes, so that the step is compiled once. samples, rays: how many of them are real, not
     padding.

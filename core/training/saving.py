@@ -1,4 +1,4 @@
-"""Saving a training while it runs: the field, the state to go on from, and the log (needs JAX)."""
+"""Saves a training while it runs: the field, the state from which it can be resumed, and the log. Needs JAX."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOG_EVERY = 2.0  # seconds of training between two lines of the log
 
 @dataclass(frozen=True)
 class TrainProgress:
-    """How a training goes after a step."""
+    """The progress of a training after a step."""
 
     fraction: float  # of the whole training, in [0, 1]
     step: int
@@ -40,13 +40,16 @@ class TrainProgress:
     held_out: float | None = None  # PSNR in dB of rays of views that are not trained on; None where none were scored yet
 
     def text(self) -> str:
-        """For people."""
+        """The progress as one line of text."""
         held = "" if self.held_out is None else f", {self.held_out:.2f} dB on held-out views"
         return f"Step {self.step}: {self.psnr:.2f} dB on training rays{held}"
 
 
 def trained_field(prepared: Prepared, state: TrainState, params: Any, held_out_psnr: float | None) -> Field:
-    """The field of a training as far as it is. params: of the state, to give the field; without features where it is diffuse."""
+    """The field of a training in its present state. params: the parameters to use (see `TrainState.best`).
+
+    A diffuse field has no features.
+    """
     settings, dataset = prepared.settings, prepared.dataset
     params = jax.tree.map(np.asarray, params)
     network = ViewNetwork(*params["view"]) if "view" in params and state.view != "diffuse" else None
@@ -77,10 +80,12 @@ def trained_field(prepared: Prepared, state: TrainState, params: Any, held_out_p
 
 
 class Saver:
-    """Logs every LOG_EVERY seconds; saves every `save_every` seconds, or less often where saving takes longer than SAVE_SHARE of the time.
+    """Logs a training every LOG_EVERY seconds and saves it every `save_every` seconds.
 
-    checkpoint: returns the field and the arrays to go on from, as they are when it is called. step, held_out_psnr: where the training
-    begins or goes on. Raises SnergError when the folder cannot be written.
+    It saves less often where saving would take more than SAVE_SHARE of the time.
+
+    checkpoint: a function that returns the present field and the arrays from which training resumes. step, held_out_psnr: those of the
+    training when it begins or is resumed. Raises SnergError when the folder cannot be written.
     """
 
     def __init__(

@@ -33,9 +33,9 @@ def silhouette(image: NDArray[Any], colour: NDArray[Any]) -> NDArray[Any]:
 
 
 def spread(seed: NDArray[Any], allowed: NDArray[Any]) -> NDArray[Any]:
-    """Flood fill, 4-connected: the pixels, bool [H, W], reachable from `seed` through `allowed`, both bool [H, W].
+    """Flood fill, 4-connected: the pixels, bool [H, W], connected to `seed` by pixels of `allowed`, both bool [H, W].
 
-    A pass fills whole runs of rows and then of columns, so that a few passes are enough for most outlines.
+    A pass fills whole runs of allowed pixels in rows and then in columns, so that few passes are needed for most outlines.
     """
     reached, before = seed & allowed, -1
     while (now := int(reached.sum())) != before:

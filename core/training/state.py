@@ -26,7 +26,10 @@ SMOOTHING = 0.98  # weight of the running means' past in each step: they average
 
 @dataclass(frozen=True, eq=False)
 class TrainState:
-    """Where a training stands. A step makes a new state of it. The random state is `Prepared.rng`'s, the sampler's is its own."""
+    """The state of a training after some steps. It is immutable: a step returns a new one.
+
+    It does not contain the random state, which is `Prepared.rng`'s, and the sampler's state.
+    """
 
     params: Any  # the network's parameters, a tree of arrays on all devices
     moments: tuple[Any, Any]  # Adam's first and second moment, trees as params
@@ -62,7 +65,7 @@ class TrainState:
 
 @dataclass(frozen=True)
 class StepReport:
-    """What a step says beside the next parameters. loss, aux and finite are on the device, perhaps still being computed."""
+    """The results of a step other than the next parameters. loss, aux and finite are on the device, perhaps still being computed."""
 
     fraction: float  # of the training that was done before the step
     rate: float  # the step's learning rate

@@ -27,18 +27,18 @@ class TerminationDepths:
     to infinity, and is left out of that step's loss.
     """
 
-    def __init__(self, pool: RayDataset) -> None:
+    def __init__(self, ray_dataset: RayDataset) -> None:
         """Square tiles, as small as MOST_TILES allows; every depth is infinite at first."""
-        self.starts, self.ends, self.widths = pool.starts, pool.ends, pool.widths
-        heights = (pool.ends - pool.starts) // pool.widths
-        self.side = max(1, int(np.ceil(np.sqrt(len(pool.pixels) / MOST_TILES))))
+        self.starts, self.ends, self.widths = ray_dataset.starts, ray_dataset.ends, ray_dataset.widths
+        heights = (ray_dataset.ends - ray_dataset.starts) // ray_dataset.widths
+        self.side = max(1, int(np.ceil(np.sqrt(len(ray_dataset.pixels) / MOST_TILES))))
         self.across = -(-self.widths // self.side)
         tiles = self.across * -(-heights // self.side)
         self.first = np.cumsum(tiles) - tiles
         self.depths = np.full(int(tiles.sum()), np.inf, np.float32)
 
     def tile(self, index: NDArray[Any]) -> NDArray[Any]:
-        """The tiles [N] of pixels by number [N]."""
+        """The tiles [N] that contain the pixels with numbers `index` [N]."""
         view = np.searchsorted(self.ends, index, side="right")
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         return np.asarray(self.first[view] + row // self.side * self.across[view] + column // self.side)

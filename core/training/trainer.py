@@ -1,4 +1,4 @@
-"""The training loop: steps until the time or the steps are over, scores, saves, and stops on request (needs JAX)."""
+"""The training loop: steps until the set time or number of steps is over; validates, saves, and stops on request. Needs JAX."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ TELL_EVERY = 0.2  # seconds between two reports of progress, which is also how l
 
 
 class Trainer:
-    """A training that runs: what it was prepared with, its state, and the compiled step between two states.
+    """A running training: its prepared inputs, its state, and the compiled step from one state to the next.
 
-    settings.steps makes training exact: the same steps give the same bytes, interrupted and resumed or not (on one CPU device).
-    Settings in seconds follow the clock, so that two runs differ.
+    With settings.steps a training is deterministic on one CPU device: the result has the same bytes, whether it was interrupted and
+    resumed or not. With settings.seconds it depends on the clock, so that two runs differ.
     """
 
     def __init__(self, dataset: Dataset, settings: TrainSettings, progress: Progress = silent, held_out: Dataset | None = None) -> None:
@@ -97,7 +97,7 @@ class Trainer:
         return elapsed
 
     def progress(self) -> TrainProgress:
-        """How the training goes."""
+        """The progress after the last step."""
         state, report = self.state, self.report
         last = (report.rays, report.samples, report.rate)
         return TrainProgress(self.fraction(), state.step, state.loss, state.psnr, state.elapsed, *last, self.held_out_psnr)
@@ -179,7 +179,7 @@ def keep_memory() -> None:
 
 
 def writes() -> bool:
-    """Whether this process is the one of its training that writes files."""
+    """Whether this process writes the training's files: process 0, or the only one."""
     return bool(jax.process_index() == 0)
 
 
@@ -215,7 +215,8 @@ def train(
 
 
 def resume_from(trainer: Trainer, folder: Path) -> None:
-    """Go on with the training in a folder, where its field has a state. Raises SnergError when it is damaged or another network's."""
+    """Resume the training in a folder when its field.npz contains a training state. Raises SnergError when the state is damaged or belongs
+    to another network."""
     old, arrays = read_field_and_state(folder)
     if arrays:
         with reading(folder, "train into a new folder", f"The training state in {folder}"):
@@ -225,12 +226,12 @@ def resume_from(trainer: Trainer, folder: Path) -> None:
 def run_to_the_end(trainer: Trainer, saver: Saver | None, progress: Progress) -> None:
     """Run the trainer; report to `progress`, and log and save with the saver."""
     known = len(trainer.state.decisions)
-    tell = progress if trainer.devices.processes == 1 else _together(trainer, progress)
+    notify = progress if trainer.devices.processes == 1 else _together(trainer, progress)
     with closing(trainer.run()) as run:  # type: ignore[type-var]
         for report in run:
-            tell(report.fraction, report.text())
+            notify(report.fraction, report.text())
             for decision in trainer.state.decisions[known:]:
-                tell(report.fraction, Note(decision.text()))
+                notify(report.fraction, Note(decision.text()))
             known = len(trainer.state.decisions)
             if saver:
                 saver.after(report)
@@ -258,12 +259,13 @@ def saved_when_stopped(trainer: Trainer, saver: Saver | None) -> Iterator[None]:
 
 
 def _together(trainer: Trainer, progress: Progress) -> Progress:
-    """Progress of one of several processes: a cancelled one stops with the others after a step, because they would wait for it."""
+    """The progress function of one of several processes. When one is cancelled, all stop after the same step: otherwise the others would
+    wait for it."""
 
-    def tell(fraction: float, what: str, /) -> None:
+    def notify(fraction: float, what: str, /) -> None:
         try:
             progress(fraction, what)
         except Cancelled:
             trainer.stopping = True
 
-    return tell
+    return notify

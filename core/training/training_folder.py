@@ -1,4 +1,4 @@
-"""Where a training's files lie: in its field's folder, or beside a field that stays there until the training is finished."""
+"""The folder of a training: the field's own folder, or a hidden one beside it while a previous field stays in place until the end."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 
 def training_folder(out: Path, settings: TrainSettings, dataset: Dataset) -> tuple[Path, str]:
-    """(the folder to train the field `out` in, its state there: NEW, UNFINISHED or FINISHED).
+    """(the folder in which to train the field `out`, the state of the training there: NEW, UNFINISHED or FINISHED).
 
-    That is `out` itself where no field is there, or the very training that these settings and images continue. Another field
-    stays there, and the training lies in the hidden folder .NAME.training-KEY beside it until `finish`; other settings or images
-    have another key, so that no training begins over another's. FINISHED: only `finish` is missing.
+    The folder is `out` itself when it holds no field, or an unfinished training with the same settings and images. Otherwise the
+    field in `out` stays, and the folder is the hidden .NAME.training-KEY beside it until `finish` moves it. KEY depends on the settings
+    and images, so that different trainings have different folders. FINISHED: only `finish` is left to do.
     """
     asked = _plain(asdict(settings), dataset.root.resolve(), asdict(dataset.options), len(dataset.cameras))
     real = Path(os.path.realpath(out))
@@ -40,8 +40,8 @@ def training_folder(out: Path, settings: TrainSettings, dataset: Dataset) -> tup
 
 
 def finish(folder: Path, out: Path) -> None:
-    """A training that took place beside `out` takes its place. An unfinished training there is set aside, to go on with later; a
-    finished field is deleted. Raises SnergError when it cannot; then both are as they were."""
+    """Move a training's folder beside `out` to `out`. An unfinished training in `out` is moved to a hidden folder, from which it can be
+    resumed; a finished field in `out` is deleted. Raises SnergError when `out` cannot be replaced; both are unchanged then."""
     real, keep = Path(os.path.realpath(out)), None
     if is_field(real):
         with suppress(SnergError):  # a damaged one is deleted
@@ -61,7 +61,7 @@ def trainings_beside(out: Path) -> list[dict[str, Any]]:
 
 
 def _plain(settings: Any, dataset: Path | str, options: Any, views: int) -> dict[str, Any]:
-    """What makes two trainings the same, as JSON values."""
+    """The values by which two trainings count as the same, as JSON values."""
     return dict(json.loads(json_bytes({"settings": settings, "dataset": str(dataset), "options": options, "views": views})))
 
 

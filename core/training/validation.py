@@ -20,25 +20,29 @@ from .config import TrainSettings
 from .losses import over, shown_over
 from .ray_dataset import RayDataset
 
-HELD_OUT_RAYS = 4096  # enough for 0.1 dB, and little next to a second of training
-HELD_OUT_VIEWS = 8  # that they are spread over, so that few images are read
+HELD_OUT_RAYS = 4096  # validation rays: their PSNR is accurate to 0.1 dB, and rendering them takes much less than a second of training
+HELD_OUT_VIEWS = 8  # views from which they are drawn; each view's image must be read
 
 Evaluate = Callable[[NDArray[Any]], Sequence[NDArray[Any]]]
 
 
 class ValidationRays:
-    """Rays of a dataset, drawn once with the settings' seed, and their true colours over the background that the field is trained over."""
+    """A fixed set of R rays of a dataset, drawn with the settings' seed, and their true colours `wanted` [R, 3] over `background` [R, 3].
 
-    def __init__(self, pool: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
-        """views: [views] bool, those to draw from; all when None."""
+    origins, directions [R, 3] and near, far [R] are in field coordinates; view_directions: [R, 3] unit, world axes; offset: [R], see
+    `pack_samples`. The background is that of `losses.shown_over`.
+    """
+
+    def __init__(self, ray_dataset: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
+        """Draw `count` rays. views: bool [views], the views to draw from; None for all."""
         rng = np.random.default_rng(settings.seed)
-        held, pool.withheld = pool.withheld, np.zeros(len(pool.ends), bool) if views is None else ~views
-        index = pool.draw(count, rng)
-        pool.withheld = held
-        self.origins, self.directions, self.near, self.far, self.looking = pool.rays(index)
+        held, ray_dataset.withheld = ray_dataset.withheld, np.zeros(len(ray_dataset.ends), bool) if views is None else ~views
+        index = ray_dataset.draw(count, rng)
+        ray_dataset.withheld = held
+        self.origins, self.directions, self.near, self.far, self.view_directions = ray_dataset.rays(index)
         self.offset = rng.random(count)
         self.background = np.broadcast_to(shown_over(settings.background), (count, 3))
-        self.wanted, _ = over(pool.pixels[index].astype(np.float32) / 255, self.background)
+        self.wanted, _ = over(ray_dataset.pixels[index].astype(np.float32) / 255, self.background)
 
     def errors(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
@@ -50,16 +54,17 @@ def packed_colours(
 ) -> NDArray[Any]:
     """Colours [R, 3] of rays over their background, from packed samples.
 
-    evaluate: points [N, 3] to (density [N], values [N, C]) by the field of params, as they are trained.
+    occupied: bool [CELLS^3]; spacing: of the samples, field coordinates. evaluate: maps points [N, 3] to (density [N], values [N, C])
+    with the field's present parameters.
     """
     got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near)
     density, values = evaluate(got.points)
     wanted = ("view", "field") if settings.view_dependence == "sample" else ("view",)
     host = {name: _host(params[name]) for name in wanted if name in params}
-    looking = rays.looking.astype(np.float32)
-    values = sample_values(np, settings.view_dependence, settings.family, host, values, looking[got.ray])
-    gathered, through, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(looking))
-    return np.asarray(ray_colour(np, settings.view_dependence, host, gathered, through, looking, rays.background))
+    view_directions = rays.view_directions.astype(np.float32)
+    values = sample_values(np, settings.view_dependence, settings.family, host, values, view_directions[got.ray])
+    gathered, transmittance, _ = composite(np, optical_depth(np, density, np.float32(got.length)), values, got.ray, len(view_directions))
+    return np.asarray(ray_colour(np, settings.view_dependence, host, gathered, transmittance, view_directions, rays.background))
 
 
 def _host(tree: Any) -> Any:
@@ -73,6 +78,6 @@ def _host(tree: Any) -> Any:
 
 
 def some_views(dataset: Dataset, most: int = HELD_OUT_VIEWS) -> Dataset:
-    """At most so many of its views, spread evenly."""
+    """The dataset reduced to at most `most` of its views, evenly spaced."""
     chosen = np.unique(np.linspace(0, len(dataset.views) - 1, most).round().astype(int))
     return replace(dataset, views=tuple(dataset.views[i] for i in chosen), bounds=None)

@@ -57,9 +57,10 @@ def set_aside(views: int) -> NDArray[Any]:
 
 
 def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any], settings: TrainSettings) -> Decision:
-    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short to tell.
+    """Decide between a deferred and a diffuse field. `measured` of the decision is None where the training is too short (LEAST).
 
-    step: steps done. field: as trained so far, deferred. validation_views: bool [views], not trained on so far.
+    step: the number of steps done. field: the deferred field trained so far. validation_views: bool [views], the views that were not
+    trained on; rays of all views are tested where there are none.
     """
     if step < LEAST:
         return Decision(EFFECT, "deferred", "The training is too short to tell; a longer one measures it.")
@@ -69,31 +70,33 @@ def run(step: int, field: Field, rays: RayDataset, validation_views: NDArray[Any
 
 
 def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """(errors with the residual averaged over the cameras, errors with it as it is): squared errors [R] of a deferred field's rays."""
-    gathered, through = integrate(field, rays.origins, rays.directions, rays.near, rays.looking)
-    along = mean_distance(np, gathered[:, -1], 1 - through, 0.0)
+    """The squared colour errors of a deferred field's rays: ([R] with the residual averaged over the cameras that see the point, [R] with
+    the ray's own residual)."""
+    gathered, transmittance = integrate(field, rays.origins, rays.directions, rays.near, rays.view_directions)
+    along = mean_distance(np, gathered[:, -1], 1 - transmittance, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
     points = points if field.ndc is None else field.ndc.to_world(points)
 
-    def shown(looking: NDArray[Any]) -> NDArray[Any]:
-        params = {"view": field.network}
-        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], through, looking.astype(np.float32), rays.background))
+    def shown(directions: NDArray[Any]) -> NDArray[Any]:
+        params, towards = {"view": field.network}, directions.astype(np.float32)
+        return np.asarray(ray_colour(np, "deferred", params, gathered[:, :-1], transmittance, towards, rays.background))
 
-    own = shown(rays.looking)
+    own = shown(rays.view_directions)
     total, count = np.zeros_like(own), np.zeros(len(own), np.float32)
     for camera in cameras[:: -(-len(cameras) // EYES)]:
-        looking = camera.toward(points)
-        sees = camera.shows(points) & ((looking * rays.looking).sum(axis=-1) > 0)  # not from behind: that is another surface
-        total += np.where(sees[:, None], shown(looking), 0)
+        directions = camera.toward(points)
+        sees = camera.shows(points) & ((directions * rays.view_directions).sum(axis=-1) > 0)  # not from behind: that is another surface
+        total += np.where(sees[:, None], shown(directions), 0)
         count += sees
     averaged = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], own)
     return rays.errors(averaged), rays.errors(own)
 
 
 def judged(without: NDArray[Any], gained: NDArray[Any], views: int) -> Decision:
-    """The decision, from squared errors [R] of the same rays without and with view dependence.
+    """Decide from squared errors [R] of the same rays: `without` view dependence and with it, `gained`.
 
-    views: how many validation views the rays are of; 0 where they are training rays.
+    The field stays deferred where view dependence gains more than GAIN dB plus twice the standard error of the gain.
+    views: the number of validation views from which the rays are; 0 for training rays.
     """
     gain = 10 * np.log10(max(float(without.mean()), 1e-12) / max(float(gained.mean()), 1e-12))
     difference = without - gained

@@ -1,4 +1,7 @@
-"""Reads COLMAP's sparse models, text or binary, with the images that they were made from."""
+"""Reads sparse models of COLMAP, in its text or binary format, and the images that they were made from.
+
+Formats: https://colmap.github.io/format.html. COLMAP's cameras look along +z with y down (OpenCV's axes).
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ from ...io.schema import FAR
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import find_image, image_folder, scaled_to
 
-MODELS = {  # COLMAP's numbers: (name, how many parameters)
+MODELS = {  # COLMAP's model id: (name, number of parameters)
     0: ("SIMPLE_PINHOLE", 3),
     1: ("PINHOLE", 4),
     2: ("SIMPLE_RADIAL", 4),
@@ -36,55 +39,58 @@ MODELS = {  # COLMAP's numbers: (name, how many parameters)
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 }
 COUNTS = {name: count for name, count in MODELS.values()}
+# Models with one focal length for x and y; the others begin with two.
 ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+# Models that are recognised and refused.
 OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
-FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")
-MAX_BYTES = 2**32
-MAX_NAME = 4096
+FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")  # where a model may lie in a dataset's folder, tried in this order
+MAX_BYTES = 2**32  # of a model's file
+MAX_NAME = 4096  # bytes of an image's name
 DEPTH_PERCENTILES = (0.1, 99.9)  # of the points in a view: its nearest and farthest depth, as in LLFF
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """One of a model's cameras."""
+    """The intrinsics of one of a model's cameras, which several images may share. Lengths are in pixels."""
 
     width: int
     height: int
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    distortion: Distortion | None
+    focal: tuple[float, float]  # along x and y
+    centre: tuple[float, float]  # principal point, x and y, pixel centres at +0.5
+    distortion: Distortion | None  # None for a pinhole camera
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One of a model's images. world_to_camera: [3, 4], OpenCV axes. seen: [N] int64, the ids of the points in it."""
+    """One of a model's images and its pose."""
 
-    name: str
-    lens: int
-    world_to_camera: NDArray[Any]
-    seen: NDArray[Any]
+    name: str  # path relative to the folder of images
+    lens: int  # id of its camera in the model
+    world_to_camera: NDArray[Any]  # [3, 4] float64, rotation and translation, OpenCV's axes, units of the model
+    seen: NDArray[Any]  # [N] int64, ids of the 3D points that were matched in it
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """A model's points: their ids `numbers` [N] int64 ascending, points [N, 3] float64, colours [N, 3] uint8."""
+    """A model's 3D points, in ascending order of their ids."""
 
-    numbers: NDArray[Any]
-    points: NDArray[Any]
-    colours: NDArray[Any]
+    numbers: NDArray[Any]  # [N] int64, ids
+    points: NDArray[Any]  # [N, 3] float64, units of the model
+    colours: NDArray[Any]  # [N, 3] uint8, sRGB
 
 
 def is_colmap(path: Path) -> bool:
-    """Whether `read_colmap` is the reader for this folder."""
+    """Whether the path is a folder that holds a COLMAP model, in one of FOLDERS."""
     return path.is_dir() and _model_folder(path) is not None
 
 
 def read_colmap(path: Path, options: DatasetOptions) -> Source:
-    """Cameras with their lenses, poses, points and their colours; images by name from `images` or images_<n>.
+    """Read a COLMAP model and find its images. The result has views sorted by name and, where the model has 3D points, the points
+    [N, 3], their colours [N, 3] uint8 and the depth bounds [V, 2] of the views, all in units of the model.
 
-    `path`: the folder that holds sparse/0 and images, or the model's own folder with images beside or above it. Masks lie as
-    COLMAP wants them, masks/<image name>.png. Views come sorted by name. Raises SnergError when a file is damaged, a lens is not
-    supported or an image is missing.
+    path: the dataset's folder, with the model in one of FOLDERS and the images in images or images_<n>; or the model's own folder,
+    with the images beside it or up to two folders above. Masks are masks/<image name>.png, as COLMAP reads them.
+    Raises SnergError when a file is damaged, a lens model is not supported or an image is missing.
     """
     folder = _model_folder(path)
     if folder is None:
@@ -112,7 +118,11 @@ T = TypeVar("T")
 
 
 def read_model(folder: Path) -> tuple[dict[int, Lens], list[Shot], Points]:
-    """The files of a model, binary where there are both; it may lack points. Raises SnergError when one is damaged or missing."""
+    """Read a model's files: (cameras by id, images in the order of the file, 3D points).
+
+    The binary files are read where there are both. Without a points3D file there are no points.
+    Raises SnergError when a file is damaged, cameras or images are missing, or an image names a camera that the model does not have.
+    """
     binary = (folder / "cameras.bin").is_file()
     suffix = ".bin" if binary else ".txt"
     lenses = _read(folder / f"cameras{suffix}", binary_lenses if binary else text_lenses)
@@ -136,7 +146,10 @@ def _read(path: Path, reader: Callable[[Path], T]) -> T:
 
 
 def lens_of(model: str, width: int, height: int, values: list[float], where: str) -> Lens:
-    """A camera from COLMAP's parameters. Raises SnergError that names a model which is not supported."""
+    """The lens of one of COLMAP's cameras. width, height: in pixels; values: its parameters, in COLMAP's order (lengths in pixels).
+
+    Raises SnergError, which begins with `where`, when the lens model is not supported or has another number of parameters.
+    """
     if model not in COUNTS or model in OTHERS:
         raise SnergError(f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first.")
     if len(values) != COUNTS[model]:
@@ -153,19 +166,22 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
 
 
 class Bytes:
-    """Reads little-endian values from a file, none past its end."""
+    """A binary file and a position in it. Reads little-endian values; raises an error instead of reading past the end."""
 
     def __init__(self, path: Path) -> None:
         self.data, self.at = path.read_bytes(), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
-        """The next values, as struct.unpack has them."""
+        """The next values in a layout of `struct`, such as 'IiQQ'. Raises struct.error past the end."""
         values = struct.unpack_from("<" + layout, self.data, self.at)
         self.at += struct.calcsize("<" + layout)
         return values
 
     def count(self, least: int) -> int:
-        """A number of records of at least `least` bytes each. Raises ValueError where the file cannot hold so many."""
+        """The next number (uint64), which counts the records that follow, of at least `least` bytes each.
+
+        Raises ValueError when the rest of the file is too short for so many.
+        """
         (count,) = self.take("Q")
         if count * least > len(self.data) - self.at:
             raise ValueError(f"it says that {count} records follow, more than its size allows")
@@ -178,7 +194,7 @@ class Bytes:
         return found
 
     def text(self) -> str:
-        """Up to the next zero byte."""
+        """The next string, UTF-8, which ends with a zero byte. Raises ValueError when it is longer than MAX_NAME or not UTF-8."""
         end = self.data.index(b"\0", self.at, self.at + MAX_NAME)
         found = self.data[self.at : end].decode("utf-8")
         self.at = end + 1
@@ -186,7 +202,7 @@ class Bytes:
 
 
 def binary_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.bin"""
+    """Read cameras.bin: lenses by camera id. Raises SnergError as `lens_of`."""
     file = Bytes(path)
     lenses = {}
     for _ in range(file.count(24)):
@@ -200,7 +216,7 @@ SEEN = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
 def binary_shots(path: Path) -> list[Shot]:
-    """images.bin"""
+    """Read images.bin: the images in the order of the file. Raises SnergError as `world_to_camera`."""
     file = Bytes(path)
     shots = []
     for _ in range(file.count(64 + 1 + 8)):
@@ -212,7 +228,7 @@ def binary_shots(path: Path) -> list[Shot]:
 
 
 def binary_points(path: Path) -> Points:
-    """points3D.bin"""
+    """Read points3D.bin. Points farther than FAR from the origin along an axis are left out."""
     file = Bytes(path)
     rows = []
     for _ in range(file.count(51)):
@@ -231,7 +247,7 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 def text_lenses(path: Path) -> dict[int, Lens]:
-    """cameras.txt"""
+    """Read cameras.txt: lenses by camera id. Raises SnergError as `lens_of`."""
     lenses = {}
     for line in _lines(path):
         if line.strip():
@@ -242,7 +258,10 @@ def text_lenses(path: Path) -> dict[int, Lens]:
 
 
 def text_shots(path: Path) -> list[Shot]:
-    """images.txt: two lines an image, the second of which may be empty."""
+    """Read images.txt: the images in the order of the file. Each has two lines, of which the second, its 2D points, may be empty.
+
+    Raises SnergError as `world_to_camera`.
+    """
     shots = []
     lines = _lines(path)
     for line in lines:
@@ -256,7 +275,7 @@ def text_shots(path: Path) -> list[Shot]:
 
 
 def text_points(path: Path) -> Points:
-    """points3D.txt"""
+    """Read points3D.txt. Points farther than FAR from the origin along an axis are left out."""
     rows = []
     for line in _lines(path):
         if line.strip():
@@ -275,7 +294,10 @@ def _points(rows: list[tuple[Any, ...]]) -> Points:
 
 
 def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
-    """[3, 4] from a quaternion (w, x, y, z), normalised here, and a translation. Raises SnergError when it is none."""
+    """The rigid transform [3, 4] from a pose of 7 numbers: a quaternion (w, x, y, z), normalised here, and a translation.
+
+    Raises SnergError, which begins with `where`, when these are not 7 finite numbers or the quaternion is 0.
+    """
     q = np.array(pose[:4], np.float64)
     length = float(np.linalg.norm(q))
     if len(pose) != 7 or not np.isfinite(pose).all() or length < 1e-9:
@@ -310,7 +332,7 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
 
 
 def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
-    """[V, 2] depths of the nearest and the farthest point in each view; None where a view has no points."""
+    """The depths [V, 2] of the nearest and farthest points in each view, at DEPTH_PERCENTILES; None where a view has no points."""
     bounds = []
     for shot in shots:
         place = np.searchsorted(points.numbers, shot.seen).clip(max=len(points.numbers) - 1)
@@ -324,7 +346,7 @@ def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
 
 
 def _model_folder(path: Path) -> Path | None:
-    """The first of the usual folders that holds a model."""
+    """The first of FOLDERS in `path` that holds a model; None where none does."""
     for name in FOLDERS:
         folder = path / name
         if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
@@ -333,7 +355,7 @@ def _model_folder(path: Path) -> Path | None:
 
 
 def _root(path: Path) -> Path:
-    """The folder with the images: `path`, or above it where the model itself was named."""
+    """The dataset's folder, which contains images*: `path`, its parent or its grandparent; `path` where none does."""
     path = path.resolve()
     for root in (path, path.parent, path.parent.parent):
         if any(p.is_dir() for p in root.glob("images*")):
@@ -342,5 +364,5 @@ def _root(path: Path) -> Path:
 
 
 def _with_other_suffix(pictures: Path, name: str, folder: Path) -> Path | None:
-    """images_<n> may hold JPEGs as PNG."""
+    """The image `name` with any suffix: a downscaled images_<n> may hold the JPEGs as PNGs. None when there is none."""
     return find_image(pictures, name.rpartition(".")[0] or name, str(folder))

@@ -1,4 +1,4 @@
-"""poses_bounds.npy as LLFF writes it (Mildenhall et al. 2019), beside folders images and images_<n>."""
+"""Reads poses_bounds.npy of LLFF (Mildenhall et al. 2019), which lies beside the folders images and images_<n>."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ TO_OPENGL = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # columns (down, rig
 
 
 def is_llff(path: Path) -> bool:
-    """Whether `read_llff` is the reader for this file or folder."""
+    """Whether the path is a file poses_bounds.npy, or a folder that holds one."""
     return path.name == FILE if path.is_file() else (path / FILE).is_file()
 
 
 def read_llff(path: Path, options: DatasetOptions) -> Source:
-    """Poses, one focal length a view, and the nearest and farthest depth that a view sees.
+    """Read poses_bounds.npy and find its images: a pose, a focal length (pixels) and the nearest and farthest depth of each view.
 
-    Images are taken by name, in order, one a pose. Raises SnergError when their numbers differ, or the table is damaged.
+    The images, sorted by name, belong to the poses in order. Raises SnergError when there are not as many images as poses, or when the
+    table is damaged.
     """
     root = path.parent if path.is_file() else path
     table = read_table(inside(root, FILE, str(root)))
@@ -54,9 +55,11 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
 
 
 def read_table(path: Path) -> NDArray[Any]:
-    """[V, 17] float64: 3 x 5 numbers (axes, position, and height, width, focal length), near and far.
+    """The table [V, 17] float64 in a .npy file. A row is a 3 x 5 matrix, row by row, and the nearest and farthest depth.
 
-    Raises SnergError when it is something else; nothing in it is ever run as code (hard case 62).
+    The matrix's columns are the camera's three axes, its position, and (height, width, focal length) in pixels.
+    Raises SnergError when the file holds anything else, is not finite, or not 0 < near < far. Pickled data is refused, because
+    unpickling can run code (hard case 62).
     """
     check_file(path, MAX_BYTES)
     with reading(path, "run LLFF's imgs2poses again", f"The array of numbers {path}"):

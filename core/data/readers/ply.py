@@ -21,7 +21,10 @@ MAX_BYTES = 2**32
 
 
 def read_ply(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
-    """Vertices [N, 3] float64 and their colours [N, 3] uint8 or None. Raises SnergError when the file is damaged or cut short."""
+    """(vertices [N, 3] float64, their colours [N, 3] uint8 or None where the file has none) of a PLY file.
+
+    Raises SnergError when the file is damaged or cut short.
+    """
     check_file(path, MAX_BYTES)
     with reading(path, "write the file again", f"The points {path}"):
         with open(path, "rb") as file:
@@ -43,7 +46,7 @@ def read_ply(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
 
 
 def _header(file: BinaryIO) -> tuple[str, int, dict[str, str]]:
-    """Byte order ('' for text), number of vertices, and the types of their properties."""
+    """(byte order, '' for text; number of vertices; types of a vertex's properties by name) from the header."""
     if file.readline(10).strip() != b"ply":
         raise ValueError("it is not a PLY file")
     order, count, kinds, element = "", -1, {}, ""

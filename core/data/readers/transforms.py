@@ -1,4 +1,7 @@
-"""transforms.json as NeRF-synthetic, instant-ngp and nerfstudio write it."""
+"""Reads and writes transforms.json, the format of NeRF-synthetic, instant-ngp and nerfstudio.
+
+transform_matrix is camera-to-world, with OpenGL's axes (x right, y up, looking along -z).
+"""
 
 from __future__ import annotations
 
@@ -28,25 +31,26 @@ LENSES = {
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
 OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
-OURS = ("snerg_box", "snerg_render")  # renders of our own: the world is Blender's
-SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # nerfstudio's
+OURS = ("snerg_box", "snerg_render")  # keys of files that SNeRG's renders have: their world is Blender's
+SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # splits and nerfstudio's keys for them
 NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
 
 
 def is_transforms(path: Path) -> bool:
-    """Whether `read_transforms` is the reader for this file or folder."""
+    """Whether the path is a JSON file, or a folder with transforms.json or transforms_<split>.json."""
     if path.is_file():
         return path.suffix.lower() == ".json"
     return (path / "transforms.json").is_file() or any(path.glob("transforms_*.json"))
 
 
 def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
-    """Cameras and images of transforms_<split>.json, of transforms.json, or of a transforms file given by name.
+    """Read a transforms file and find its images. path: the file, or the folder with transforms_<split>.json or transforms.json.
 
-    Intrinsics come from camera_angle_x, or from fl_x, fl_y, cx, cy, w, h and the lens's k1.. p1.., of the file or of a frame.
-    The world stays as it is for renders, which is what transforms_<split>.json and files without fl_x are taken to be.
-    Frames without an image are an error, but for instant-ngp's captures (aabb_scale): that tool lists the photographs which it
-    found too blurred and threw away. Raises SnergError when a file, frame, image, mask, lens or pose makes no sense.
+    Intrinsics come from camera_angle_x (radians), or from fl_x, fl_y, cx, cy, w, h (pixels) and the distortion k1.., p1.. of the file
+    or of a frame. `photographs` of the result, which makes `orient` move the world, is False for renders: transforms_<split>.json, files
+    of our own, and files without fl_x and camera_model.
+    A frame whose image does not exist is an error, except with aabb_scale (instant-ngp): that tool also lists photographs that it
+    deleted because they were blurred. Raises SnergError when a file, frame, image, mask, lens or pose is missing or invalid.
     """
     file, names = find_file(path, split)
     with reading(file, "write it again"):
@@ -82,7 +86,10 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
 
 
 def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
-    """The file that holds a split, and the splits that have files of their own. Raises SnergError that lists them."""
+    """(the file that holds a split, names of all splits that have a file of their own). A `path` that is a file is returned as it is.
+
+    Raises SnergError, which lists the splits, when no file holds the split.
+    """
     if path.is_file():
         return path, (split,) if path.name.startswith("transforms_") else ()
     there = tuple(sorted(p.stem.removeprefix("transforms_") for p in path.glob("transforms_*.json")))
@@ -94,7 +101,7 @@ def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
 
 
 def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The file's value and its frames. Raises SnergError when it has none."""
+    """(the JSON object in a transforms file, its frames). Raises SnergError when it has no frames or one is not an object."""
     value = read_json(file)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -106,7 +113,10 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, skips_missing: bool) -> View | None:
-    """One frame's camera, image and mask; None for a frame without its image, with `skips_missing`."""
+    """The view of one frame: its camera, image and mask. value: the whole file; index: the frame's number, for errors.
+
+    None when the image does not exist and `skips_missing` is set. Raises SnergError when it is not set, and for invalid frames.
+    """
     where = f"{file}, frame {index}"
     name = frame.get("file_path")
     if not isinstance(name, str) or not name:
@@ -122,7 +132,11 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
 
 
 def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
-    """nerfstudio's mask_path, or a dynamic_mask_<name>.png of instant-ngp's beside the image, which hides what is white."""
+    """(the path of a frame's mask or None, whether its white pixels are the excluded ones).
+
+    It is nerfstudio's mask_path, whose black pixels are excluded from training, or instant-ngp's dynamic_mask_<name>.png beside the
+    image, whose white pixels are. Raises SnergError when the file of mask_path does not exist.
+    """
     name = frame.get("mask_path", value.get("mask_path"))
     if name is not None:
         mask = find_image(root, name, where) if isinstance(name, str) else None
@@ -134,7 +148,10 @@ def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: P
 
 
 def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, int], where: str, name: str) -> Camera:
-    """The camera of a frame whose image is `size` (width, height) pixels; intrinsics given for `w` x `h` are scaled to it."""
+    """The camera of a frame whose image is `size` (width, height) pixels. Intrinsics for another size `w` x `h` are scaled to it.
+
+    Raises SnergError, which begins with `where`, when the pose or the intrinsics are missing or invalid.
+    """
     try:
         pose = np.array(frame["transform_matrix"], np.float64)
     except (KeyError, TypeError, ValueError) as error:
@@ -171,7 +188,7 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
 
 
 def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
-    """The lens that a file or frame describes, None for none. Raises SnergError that names a model which is not supported."""
+    """The distortion that a file or frame describes; None for a pinhole camera. Raises SnergError when the lens is not supported."""
     named = str(value.get("camera_model", "")).upper()
     other = [key for key in OTHER_LENSES if value.get(key)]
     if named not in LENSES or other:
@@ -209,9 +226,9 @@ def _plain(name: str) -> str:
 
 
 def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None, NDArray[Any] | None]:
-    """The points [N, 3] float64 of ply_file_path and their colours [N, 3] uint8, in the poses' world; None where there is no such file.
+    """(points [N, 3] float64, colours [N, 3] uint8 or None) of the file ply_file_path; (None, None) without such a file.
 
-    nerfstudio has applied its applied_transform to both the poses and the points.
+    The points are in the same world as the poses: nerfstudio applies its applied_transform to both.
     """
     name = value.get("ply_file_path")
     if not isinstance(name, str):
@@ -221,7 +238,7 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
 
 
 def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the side of instant-ngp's cube around the origin, in the poses' units; None without aabb_scale."""
+    """Half the edge length of instant-ngp's cube, which is centred on the origin, in units of the poses; None without aabb_scale."""
     if "aabb_scale" not in value:
         return None
     try:
@@ -240,9 +257,10 @@ def write_transforms(
     box: Box | None = None,
     extra: dict[str, Any] | None = None,
 ) -> None:
-    """Write cameras as a transforms file that any NeRF tool reads, whole or not at all.
+    """Write cameras as a transforms file that other NeRF tools read, whole or not at all.
 
-    image_names: a path a camera, relative to the file. `box` and `extra` are further keys of our own at the top.
+    image_names: for each camera the path of its image, relative to the file. box: written as snerg_box. extra: further keys of the
+    file's object.
     """
     first = cameras[0]
     frames = [
@@ -256,7 +274,8 @@ def write_transforms(
 
 
 def intrinsics_json(camera: Camera) -> dict[str, Any]:
-    """fl_x, fl_y, cx, cy, w, h and the lens as instant-ngp names them, and the projection where it is not perspective."""
+    """A camera's intrinsics under instant-ngp's names: w, h, fl_x, fl_y, cx, cy in pixels, the distortion, and the projection where it
+    is not perspective."""
     value: dict[str, Any] = {
         "w": camera.width,
         "h": camera.height,
@@ -276,9 +295,9 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
 
 
 def read_cameras(path: str | os.PathLike[str]) -> tuple[Camera, ...]:
-    """Only the cameras of a transforms file, for rendering: its images need not exist where it gives sizes.
+    """Read only the cameras of a transforms file, to render from them. Where the file gives w and h, the images need not exist.
 
-    Raises SnergError when the file has no frames, or gives no size for a camera.
+    Raises SnergError when the file has no frames, or a camera has neither a size nor an image.
     """
     with reading(Path(path), "write it again"):
         return _read_cameras(Path(path))

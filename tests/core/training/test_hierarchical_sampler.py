@@ -153,7 +153,7 @@ def test_what_is_seen_does_not_depend_on_the_length_of_the_direction(pool):
     origins, directions, near, far, looking = pool.rays(np.arange(50))
     one = scheme._arrays(origins, directions, near, far, looking)
     other = scheme._arrays(origins, directions, near, far, looking * np.linspace(0.1, 9, 50)[:, None])
-    assert np.abs(one["looking"] - other["looking"]).max() < 1e-6
+    assert np.abs(one["view_directions"] - other["view_directions"]).max() < 1e-6
     with pytest.raises(SnergError, match="direction is zero"):
         scheme._arrays(origins, directions, near, far, looking * 0)
 
@@ -251,7 +251,7 @@ def slab_batch(rays: int) -> dict:
     return {
         "origins": np.tile(np.float32([0, 0, 1]), (rays, 1)),
         "directions": towards,
-        "looking": towards,
+        "view_directions": towards,
         "near": np.full(rays, 0.25, np.float32),
         "far": np.full(rays, 1.75, np.float32),
         "seed": np.arange(rays, dtype=np.uint32),
