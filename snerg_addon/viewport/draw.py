@@ -77,13 +77,19 @@ def clear(*_arguments: object) -> None:
     forget()
 
 
+def works() -> bool:
+    """Whether the viewport draws SNeRG objects; False after an error, and without a window."""
+    return _handle is not None
+
+
 def memory() -> int:
     """Bytes of the card's memory that scenes take."""
     return sum(held.bytes for held in _scenes.values())
 
 
 def draw() -> None:
-    """Every visible SNeRG object of the region that is being drawn, the farthest first. Never raises: Blender would stop drawing."""
+    """Every visible SNeRG object of the region that is being drawn, the farthest first. After an error nothing is drawn any more: it would
+    come again at every redraw."""
     context = bpy.context
     try:
         shown = [thing for thing in snerg_objects(context.view_layer) if thing.visible_in_viewport_get(context.space_data)]
@@ -94,6 +100,7 @@ def draw() -> None:
         _forget_closed(context.window_manager)
     except Exception as error:
         traceback.print_exception(error)
+        unregister()
 
 
 def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> bool:
