@@ -13,7 +13,7 @@ from ..core.data.rig import RigSettings
 from ..core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 
 # Blender 5 shows a path that starts with // in red unless the property has this option.
-RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0) else set()
+RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 
 LOSSY = tuple(name for name in SUFFIXES if name not in LOSSLESS)
 
