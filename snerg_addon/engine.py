@@ -142,8 +142,8 @@ def bordered(camera: Camera, render: bpy.types.RenderSettings) -> Camera:
     """The part of a camera's picture that the render border leaves."""
     if not render.use_border:
         return camera
-    left, right = (round(edge * camera.width) for edge in (render.border_min_x, render.border_max_x))
-    bottom, top = (round(edge * camera.height) for edge in (render.border_min_y, render.border_max_y))
+    left, right = (int(edge * camera.width) for edge in (render.border_min_x, render.border_max_x))
+    bottom, top = (int(edge * camera.height) for edge in (render.border_min_y, render.border_max_y))
     centre = camera.centre[0] - left, camera.centre[1] - (camera.height - top)
     return replace(camera, width=max(right - left, 1), height=max(top - bottom, 1), centre=centre)
 
@@ -202,3 +202,20 @@ def axis_cosines(camera: Camera) -> np.ndarray:
 def world_colour(scene: bpy.types.Scene) -> np.ndarray:
     """What stands behind everything, display-referred [3]: the world's colour, black where there is none."""
     return linear_to_srgb(np.clip(np.array(scene.world.color if scene.world else (0, 0, 0), np.float64), 0, 1))
+
+
+def panels() -> list[type[bpy.types.Panel]]:
+    """Blender's own panels that its simple engines have: size, border, output, lens, colour management and passes."""
+    return [panel for panel in bpy.types.Panel.__subclasses__() if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())]
+
+
+def add_panels() -> None:
+    """Show those panels with this engine too."""
+    for panel in panels():
+        panel.COMPAT_ENGINES.add(SNERG_RE_engine.bl_idname)
+
+
+def remove_panels() -> None:
+    """Undo `add_panels`."""
+    for panel in panels():
+        panel.COMPAT_ENGINES.discard(SNERG_RE_engine.bl_idname)

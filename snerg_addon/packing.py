@@ -38,7 +38,7 @@ def pack(thing: bpy.types.Object, folder: Path) -> int:
 
 def is_packed(thing: bpy.types.Object) -> bool:
     """Whether the .blend holds a copy of the object's scene."""
-    return isinstance(thing.get(KEY), bytes)
+    return KEY in thing
 
 
 def discard(thing: bpy.types.Object) -> None:

@@ -35,10 +35,12 @@ def register() -> None:
     saving.register()
     watch.register()
     draw.register()
+    engine.add_panels()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse order."""
+    engine.remove_panels()
     draw.unregister()
     watch.unregister()
     saving.unregister()

@@ -50,7 +50,14 @@ def test_the_grid_is_measured_and_its_scaling_drawn(dataset, tmp_path):
     tiny = ("--views", 2, "--resolution", 48, "--large", 60, "--size", 16, "--out", tmp_path / "out")
     result = run("--field", tmp_path / "field", "--rows", rows, *tiny, bench="grid")
     assert result.returncode == 0, result.stderr
-    for text in ("2 of 3 held-out views", "| bake, 48 voxels |", "| bake, 60 voxels |", "`ray_marcher.", "| samples taken |", "| 24 voxels |"):
+    for text in (
+        "2 of 3 held-out views",
+        "| bake, 48 voxels |",
+        "| bake, 60 voxels |",
+        "`ray_marcher.",
+        "| samples taken |",
+        "| 24 voxels |",
+    ):
         assert text in result.stdout
     value = json.loads((tmp_path / "out" / "grid.json").read_text())["rows"]
     assert list(value) == rows.split(",") and value["preview"]["naive"]["difference"] < 1e-3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ...core.errors import SnergError
 from .. import packing
 from ..scene_object import problem_of, source_of
 from ..viewport import draw
@@ -34,7 +35,11 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.operator("snerg.unpack_scene", icon="PACKAGE")
         else:
             layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
-        entry = loaded(source_of(thing))
+        try:
+            entry = loaded(source_of(thing))
+        except SnergError as error:
+            draw_sentence(layout, str(error), "ERROR")
+            return
         if context.scene.render.engine != "SNERG":
             layout.operator("snerg.composite", icon="NODE_COMPOSITING")
         if problem := problem_of(thing) or entry.problem:

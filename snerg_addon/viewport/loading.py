@@ -30,12 +30,13 @@ def loaded(folder: Path) -> Loaded:
     stamp = _stamp(folder)
     found = _known.get(folder)
     if found is None or found.stamp != stamp:
-        found = _known[folder] = Loaded(stamp)
+        found = Loaded(stamp)
         if stamp == 0:
             found.problem = f"There is no baked scene in {folder}; choose another folder, or bake again."
         else:
             found.thread = threading.Thread(target=_read, args=(folder, found), daemon=True)
             found.thread.start()
+        _known[folder] = found  # last: another thread that finds it may wait for its thread
     return found
 
 
@@ -51,12 +52,12 @@ def cached(folder: Path) -> Scene:
 
 def reading() -> bool:
     """Whether a scene is being read now."""
-    return any(entry.scene is None and not entry.problem for entry in _known.values())
+    return any(entry.scene is None and not entry.problem for entry in list(_known.values()))
 
 
 def in_use(scene: Scene) -> bool:
     """Whether a folder's files are still those of this scene."""
-    return any(entry.scene is scene for entry in _known.values())
+    return any(entry.scene is scene for entry in list(_known.values()))
 
 
 def forget() -> None:

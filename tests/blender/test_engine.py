@@ -192,3 +192,9 @@ def test_instances_and_hidden_objects(stage):
     holder.instance_type, holder.instance_collection = "COLLECTION", group
     scene.collection.objects.link(holder)
     assert rendered(scene)[12, 16, 3] == 255
+
+
+def test_blenders_own_panels_are_there_with_the_engine(addon):
+    from bl_ui.properties_output import RENDER_PT_format
+
+    assert "SNERG" in RENDER_PT_format.COMPAT_ENGINES

@@ -67,6 +67,6 @@ def test_a_wrong_path_is_one_sentence(blender, folder, command):
 
 
 def test_ctrl_c_ends_with_130(blender, photos, folder):
-    result = blender.snerg("train", str(photos), "--out", str(folder / "stopped"), "--steps", "1000000", stop="step")
+    result = blender.snerg("train", str(photos), "--out", str(folder / "stopped"), "--steps", "1000000", stop="Step ")
     assert result.returncode == 130, f"exit code {result.returncode}: {result.stderr[-2000:]}"
     assert "Traceback" not in result.stderr + result.stdout
