@@ -29,6 +29,7 @@ from .owner import (
 )
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
+_old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
 _settings_before_undo: dict[int, tuple[str, str]] = {}  # (project id, folder) by session_uid
 _failed_moves: set[Path] = set()  # folders that could not be moved; tried again when a file is saved or opened
 _path_before_save = ""  # of the open file, while it is being saved
@@ -44,18 +45,28 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
     """Set the project folders as the file to be written needs them: relative to it, and beside it if it was never saved before."""
     global _path_before_save
     _old_folders.clear()
+    _old_paths.clear()
     _path_before_save = bpy.data.filepath
     path = str(filepath or "")
     if not path:
         return
-    start = os.path.dirname(os.path.abspath(path))
+    start, moves = os.path.dirname(os.path.abspath(path)), {}
     for scene in local_scenes():
         old = scene.snerg.folder
         if not bpy.data.filepath:
             if (unsaved_folder(scene) / OWNER).is_file() and (not old or old.startswith("//")):
+                moves[unsaved_folder(scene)] = automatic_folder(scene, path, empty=True)
                 _old_folders[scene.name], scene.snerg.folder = old, blend_path(automatic_folder(scene, path, empty=True), start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
             _old_folders[scene.name], scene.snerg.folder = old, blend_path(absolute_path(old, scene), start)
+    for thing in bpy.data.objects:
+        old = thing.snerg.folder
+        if thing.library is not None or not old:
+            continue
+        folder = Path(os.path.abspath(bpy.path.abspath(old)))
+        moved = next((target / folder.relative_to(source) for source, target in moves.items() if folder.is_relative_to(source)), None)
+        if moved is not None or (old.startswith("//") and os.path.dirname(bpy.data.filepath) != start):
+            _old_paths[thing.name], thing.snerg.folder = old, blend_path(moved or folder, start)
 
 
 @persistent
@@ -66,6 +77,10 @@ def after_saving(*_unused: Any) -> None:
         if copy and name in bpy.data.scenes:
             bpy.data.scenes[name].snerg.folder = old
     _old_folders.clear()
+    for name, old in _old_paths.items():
+        if (copy or not _path_before_save) and name in bpy.data.objects:  # a project that moves takes its objects' paths along
+            bpy.data.objects[name].snerg.folder = old
+    _old_paths.clear()
     if not copy:
         for scene in local_scenes():
             if _path_before_save and scene.snerg.folder:
@@ -135,6 +150,7 @@ def move_saved_project(scene: bpy.types.Scene) -> None:
     try:
         move_project(source, target, lambda fraction, message: manager.progress_update(100 * fraction))
         scene.snerg.folder = blend_path(target)
+        follow_move(source, target)
         write_owner(target, scene)
         activity.report(target, f"The project was moved to {target}.", True)
     except SnergError as error:
@@ -142,6 +158,14 @@ def move_saved_project(scene: bpy.types.Scene) -> None:
         activity.report(source, f"The project stays in {source}: {error}", False)
     finally:
         manager.progress_end()
+
+
+def follow_move(source: Path, target: Path) -> None:
+    """Make the objects that show scenes of a moved project show them where they are now."""
+    for thing in bpy.data.objects:
+        folder = Path(os.path.abspath(bpy.path.abspath(thing.snerg.folder))) if thing.snerg.folder and thing.library is None else None
+        if folder is not None and folder.is_relative_to(source):
+            thing.snerg.folder = blend_path(target / folder.relative_to(source))
 
 
 def orphaned_projects() -> list[Path]:

@@ -121,3 +121,19 @@ def test_a_packed_scene_outlives_its_folder(scene, source, tmp_path):
     bpy.context.view_layer.objects.active = thing
     assert bpy.ops.snerg.unpack_scene() == {"FINISHED"} and source.is_dir() and not is_packed(thing)
     np.testing.assert_array_equal(cached(source_of(thing)).cells, baked().cells)
+
+
+def test_an_object_follows_its_project_when_the_file_is_saved_first_and_elsewhere(scene, source, tmp_path):
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.snerg.import_scene(filepath=str(source))
+    (thing,) = objects()
+    for place in ("first", "second/deep"):
+        (tmp_path / place).mkdir(parents=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / place / "file.blend"))
+        (thing,) = objects()
+        assert cached(source_of(thing)).shape == baked().shape, place
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / place / "file.blend"))
+        (thing,) = objects()
+        assert thing.snerg.folder.startswith("//") and cached(source_of(thing)).shape == baked().shape, place
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
+    assert cached(source_of(objects()[0])).shape == baked().shape
