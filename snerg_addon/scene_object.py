@@ -14,6 +14,7 @@ from ..core.errors import SnergError
 from ..core.geometry.camera import Camera
 from ..core.scene.scene import Scene
 from . import packing
+from .owner import blend_path
 from .project import Project
 from .properties import RELATIVE_PATHS
 from .viewport.loading import cached
@@ -74,7 +75,7 @@ def placement(thing: bpy.types.Object) -> np.ndarray:
 
 def point_at(thing: bpy.types.Object, scene: Scene, folder: Path) -> None:
     """Make an object show a baked scene."""
-    thing.snerg.folder = bpy.path.relpath(str(folder)) if bpy.data.filepath else str(folder)
+    thing.snerg.folder = blend_path(folder)
     thing.snerg.size = scene.box.size.tolist()
     thing.snerg.baked_at = scene.box.box_to_world.ravel().tolist()
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from .owner import blend_path
 from .scene_object import folder_of, snerg_objects
 
 NAME = "SNeRG Volume"
@@ -20,13 +21,12 @@ def add_volume(scene: bpy.types.Scene, path: Path, source: Path) -> bpy.types.Ob
     parent = next((thing for layer in scene.view_layers for thing in snerg_objects(layer) if folder_of(thing) == source), None)
     if parent is None:
         return None
-    name = bpy.path.relpath(str(path)) if bpy.data.filepath else str(path)
     for child in parent.children:
         if child.type == "VOLUME" and os.path.abspath(bpy.path.abspath(child.data.filepath)) == os.path.abspath(path):
             child.data.grids.unload()  # written again
             return child
     volume = bpy.data.volumes.new(NAME)
-    volume.filepath = name
+    volume.filepath = blend_path(path)
     volume.materials.append(material())
     thing = bpy.data.objects.new(NAME, volume)
     thing.parent = parent

@@ -51,7 +51,9 @@ class SNERG_PT_object(bpy.types.Panel):
             layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
-            if not draw.works():
+            if entry.scene.ndc is not None:
+                draw_sentence(layout, "A forward-facing scene: F12 and the preview show it, the viewport does not", "INFO")
+            elif not draw.works():
                 draw_sentence(layout, "The viewport cannot draw it here; the console says why. F12 and the preview work", "ERROR")
             elif not draw.fits(entry.scene):
                 draw_sentence(layout, "The viewport does not draw it: it needs more graphics memory than the preferences allow", "ERROR")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import traceback
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -17,7 +18,7 @@ from ..preferences import gpu_bytes
 from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
 from .gpu_scene import GpuScene, Target, bytes_of, march, quad
-from .loading import forget, in_use, loaded, reading
+from .loading import forget, in_use, keep, loaded, reading
 from .view import Projection, screen_rows, uniforms
 
 BUDGET = 0.03  # seconds of marching at a time
@@ -144,12 +145,21 @@ def _held(scene: Scene) -> GpuScene | None:
     """A scene on the graphics card; None where the preferences leave no room for it, once scenes that nothing shows any more are let go."""
     held = _scenes.get(id(scene))
     if held is None:
+        keep({folder for thing in bpy.data.objects if thing.type == "EMPTY" and thing.snerg.folder for folder in shown_from(thing)})
         for key in [key for key, other in _scenes.items() if not in_use(other.scene)]:
             del _scenes[key]
         if not fits(scene):
             return None
         held = _scenes[id(scene)] = GpuScene(scene)
     return held
+
+
+def shown_from(thing: bpy.types.Object) -> list[Path]:
+    """The folder that an object's scene is read from; none where its packed scene is damaged."""
+    try:
+        return [source_of(thing)]
+    except SnergError:
+        return []
 
 
 def fits(scene: Scene) -> bool:

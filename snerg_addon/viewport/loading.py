@@ -55,6 +55,12 @@ def reading() -> bool:
     return any(entry.scene is None and not entry.problem for entry in list(_known.values()))
 
 
+def keep(folders: set[Path]) -> None:
+    """Let go of the scenes of all other folders."""
+    for folder in [folder for folder in list(_known) if folder not in folders]:
+        del _known[folder]
+
+
 def in_use(scene: Scene) -> bool:
     """Whether a folder's files are still those of this scene."""
     return any(entry.scene is scene for entry in list(_known.values()))
