@@ -28,8 +28,7 @@ from .nerf.frame import Frame
 from .progress import Progress, silent, within
 from .rendering.render import MarchSettings, render_scene
 from .scene.scene import Scene
-from .study.evaluate import EvaluationTarget, measure_into
-from .training.provenance import background_of, options_of, trained
+from .study.evaluate import measure_into, target_of
 
 Place = str | os.PathLike[str]
 
@@ -108,10 +107,7 @@ def evaluate(source: Scene | Field, views: Dataset, *, out: Place | None = None,
     Returns {"psnr": dB of the mean squared error, None where nothing differs; "ssim": mean; "seconds_per_view"; "views"}. out: a folder
     for each picture and a sheet of them beside the truth. Raises SnergError when the images cannot be read.
     """
-    known = source.about.get("trained", {}) if isinstance(source, Scene) else trained(source.about)
-    kind = "scene" if isinstance(source, Scene) else "field"
-    target = EvaluationTarget(kind, lambda camera, tell: render(source, camera, progress=tell), background_of(known), "", options_of(known))
-    return measure_into(target, views, None if out is None else Path(out), progress)
+    return measure_into(target_of(source), views, None if out is None else Path(out), progress)
 
 
 def export_scene(

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..geometry.camera import Camera
 from ..io.files import check_replaceable, json_bytes, new_folder
 from ..io.images import over, png_bytes, to_uint8
 from ..io.lock import writes_out
+from ..nerf.field import Field
 from ..nerf.frame import Frame
 from ..progress import Progress, silent, within
 from ..rendering.acceleration import acceleration_of
@@ -112,31 +114,42 @@ def open_target(path: Path, settings: MarchSettings = DEFAULT_MARCH) -> Evaluati
             raise SnergError(f"{path} is a {kind}, which is not marched; bake it first to measure with such settings of the march.")
         with needs_jax():
             import jax  # noqa: F401  # evaluating a field compiles it
-
-            from ..nerf.render import render_field
-        field = open_field(path)
-        known = trained(field.about)
-        return EvaluationTarget("field", lambda camera, progress: render_field(field, camera, progress), *_facts(known, field.dataset))
+        return target_of(open_field(path))
     if kind in ("scene", "reference scene", "page"):
-        snerg = ready_scene(path, settings)
-        return EvaluationTarget(
-            "scene", lambda camera, progress: render_scene(snerg, camera, settings, progress), *_facts(snerg.about.get("trained", {}), "")
-        )
+        return target_of(ready_scene(path, settings), settings)
     raise SnergError(f"{path} is a {kind}; give a field or a baked scene.")
+
+
+def target_of(source: Field | Scene, settings: MarchSettings = DEFAULT_MARCH) -> EvaluationTarget:
+    """A field or a scene to measure. settings: of a scene's march. Raises SnergError where a field is to be rendered without JAX."""
+    known = provenance_of(source)
+    if isinstance(source, Scene):
+        render, dataset = partial(_march, source, settings), ""
+    else:
+        with needs_jax():
+            from ..nerf.render import render_field
+        render, dataset = partial(render_field, source), source.dataset
+    kind = "scene" if isinstance(source, Scene) else "field"
+    return EvaluationTarget(kind, render, background_of(known), dataset, options_of(known))
+
+
+def provenance_of(source: Field | Scene) -> dict[str, Any]:
+    """What a field, or a scene baked from it, keeps of its training (see training.provenance)."""
+    return dict(source.about.get("trained", {})) if isinstance(source, Scene) else trained(source.about)
+
+
+def _march(scene: Scene, settings: MarchSettings, camera: Camera, progress: Progress) -> Frame:
+    return render_scene(scene, camera, settings, progress)
 
 
 def ready_scene(path: Path, settings: MarchSettings) -> Scene:
     """Read a scene and build its acceleration structure, once for all views. Raises SnergError where `path` is not a scene, and for
     per-sample settings of a diffuse one."""
-    snerg = open_scene(path)
-    if settings.per_sample_network and snerg.network is None:
+    scene = open_scene(path)
+    if settings.per_sample_network and scene.network is None:
         raise SnergError(f"{path} is diffuse: it has no network to run at every sample; leave out --per-sample-network.")
-    acceleration_of(snerg)
-    return snerg
-
-
-def _facts(known: dict[str, Any], dataset: str) -> tuple[tuple[float, float, float], str, DatasetOptions]:
-    return background_of(known), dataset, options_of(known)
+    acceleration_of(scene)
+    return scene
 
 
 def _measure(subject: EvaluationTarget, views: Dataset, score: Score, folder: Path | None, progress: Progress) -> NDArray[Any]:

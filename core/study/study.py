@@ -30,10 +30,10 @@ from ..nerf.field import Field
 from ..progress import Progress, silent, within
 from ..scene.scene import Scene
 from ..training.config import PRESETS
-from ..training.provenance import background_of, options_of, trained
+from ..training.provenance import background_of, options_of
 from ..training.validation import some_views
 from .contact_sheet import contact_sheet, error_picture
-from .evaluate import COLUMNS, held_out
+from .evaluate import COLUMNS, held_out, provenance_of
 from .machine import describe_machine
 from .packages import needs_package
 from .paper_tables import BAKED, PAPER, VARIANTS
@@ -127,13 +127,6 @@ def _about(source: Path, kind: str, views: Dataset, settings: StudySettings, not
     }
 
 
-def _known(opened: Field | Scene | None) -> dict[str, Any]:
-    """The settings of the training of a field or a scene, as `trained`."""
-    if opened is None:
-        return {}
-    return trained(opened.about) if isinstance(opened, Field) else opened.about.get("trained", {})
-
-
 def _views(
     source: Path, opened: Field | Scene | None, dataset: Path | None, settings: StudySettings, notes: list[str]
 ) -> tuple[Dataset, Dataset]:
@@ -144,7 +137,7 @@ def _views(
         name = opened.dataset if isinstance(opened, Field) else ""
         if dataset is None and not name:
             raise SnergError(f"{source} does not say what it was trained on; give the dataset to measure it on with --dataset.")
-        path, options = Path(dataset or name), options_of(_known(opened))
+        path, options = Path(dataset or name), options_of(provenance_of(opened))
     try:
         views = held_out(path, options)
     except SnergError:
@@ -195,7 +188,10 @@ def _subject(
 ) -> tuple[StudySubject, Configuration]:
     """The subject of the study, and its baseline."""
     box = Box.read(settings.box) if settings.box is not None else None
-    baked, behind = BakeSettings(resolution=settings.resolution, seed=settings.seed), background_of(_known(opened))
+    baked, behind = (
+        BakeSettings(resolution=settings.resolution, seed=settings.seed),
+        background_of({} if opened is None else provenance_of(opened)),
+    )
     if isinstance(opened, Scene):
         baseline = Configuration(replace(baked, resolution=max(opened.shape)), refine=False)
         return StudySubject({}, opened, views, None, box, behind, settings.repeats), baseline
