@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -146,8 +147,11 @@ def _dilate_stencils(bits: NDArray[Any], distance: int) -> NDArray[Any]:
     return bits
 
 
-def chebyshev_distance(occupied: NDArray[Any], limit: int) -> NDArray[Any]:
-    """Distance of each element to the nearest True in the maximum norm, at most `limit` and 255: uint8 [X, Y, Z] of bool [X, Y, Z]."""
+def chebyshev_distance(occupied: NDArray[Any], limit: int, axes: Sequence[int] | None = None) -> NDArray[Any]:
+    """Distance of each element to the nearest True in the maximum norm, at most `limit` and 255: uint8 of a bool array of the same shape.
+
+    axes: along which to measure, all when None: elements that differ along another axis, such as cells [M, ...], are not neighbours.
+    """
     if not occupied.any():
         return np.full(occupied.shape, min(limit, 255), np.uint8)
     distance = np.where(occupied, 0, 1).astype(np.uint8)
@@ -155,14 +159,14 @@ def chebyshev_distance(occupied: NDArray[Any], limit: int) -> NDArray[Any]:
     for _ in range(1, min(limit, 255)):
         if reached.all():
             break
-        for axis in range(reached.ndim):
-            reached = _dilate_axis(reached, axis)
+        for axis in range(reached.ndim) if axes is None else axes:
+            reached = dilate_axis(reached, axis)
         distance += ~reached
     return distance
 
 
-def _dilate_axis(mask: NDArray[Any], axis: int) -> NDArray[Any]:
-    """A bool mask dilated by one element along an axis."""
+def dilate_axis(mask: NDArray[Any], axis: int) -> NDArray[Any]:
+    """A bool mask of any shape dilated by one element along an axis."""
     wide = mask.copy()
     after, before = [slice(None)] * mask.ndim, [slice(None)] * mask.ndim
     after[axis], before[axis] = slice(1, None), slice(None, -1)

@@ -11,13 +11,11 @@ void main()
 {
   vec2 uv = 0.5 * ndc + 0.5;
   vec4 marched = texture(picture, uv);
-  vec4 depth = texture(depths, uv);
+  float z = -texture(depths, uv).r;
   if (marched.a <= 0.0) {
     discard;
   }
-  // depth.y: distance along the view axis, in voxels; the projection's own depth follows from it.
-  float z = -depth.y * place.voxel_size;
-  vec4 projection = place.depth_row;  // (P22, P23, P32, P33)
+  // The depth along the view axis through the projection: (P22, P23, P32, P33) of its matrix.
   float clip = (projection.x * z + projection.y) / (projection.z * z + projection.w);
   gl_FragDepth = clamp(0.5 * clip + 0.5, 0.0, 1.0);
   colour = vec4(linear(clamp(marched.rgb / marched.a, 0.0, 1.0)) * marched.a, marched.a);

@@ -17,7 +17,7 @@ from ...core.scene.scene import Scene
 from ..preferences import gpu_bytes
 from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
-from .gpu_scene import GpuScene, Target, bytes_of, march, quad
+from .gpu_scene import GpuScene, Target, bytes_of, march, triangle
 from .loading import forget, in_use, keep, loaded, reading
 from .view import Projection, screen_rows, uniforms
 
@@ -129,7 +129,7 @@ def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> bool:
     bound = gpu.state.viewport_get()
     work(held, seen, picture, span)
     gpu.state.viewport_set(*bound)
-    show(picture, projection, float(seen[11, 0]))
+    show(picture, projection)
     return picture.done
 
 
@@ -145,7 +145,7 @@ def _held(scene: Scene) -> GpuScene | None:
     """A scene on the graphics card; None where the preferences leave no room for it, once scenes that nothing shows any more are let go."""
     held = _scenes.get(id(scene))
     if held is None:
-        keep({folder for thing in bpy.data.objects if thing.type == "EMPTY" and thing.snerg.folder for folder in shown_from(thing)})
+        keep({folder for thing in snerg_objects(bpy.data) for folder in shown_from(thing)})
         for key in [key for key, other in _scenes.items() if not in_use(other.scene)]:
             del _scenes[key]
         if not fits(scene):
@@ -202,15 +202,13 @@ def _timed(held: GpuScene, seen: np.ndarray, picture: Picture, target: Target, r
     picture.pixel = cost if not picture.pixel or cost < picture.pixel else 0.5 * (cost + picture.pixel)
 
 
-def show(picture: Picture, projection: Projection, voxel: float) -> None:
+def show(picture: Picture, projection: Projection) -> None:
     """The picture into the viewport: the rows that are marched in full, and the draft's below them."""
     global _composite
     if _composite is None:
         _composite = shader.composite_shader()
     width, (first, count), rows = picture.full.size[0], picture.span, picture.rows
     p = projection.matrix
-    place = np.array([[p[2, 2], p[2, 3], p[3, 2], p[3, 3]], [voxel, 0, 0, 0]], np.float32)
-    buffer = gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", place.size, place.reshape(-1)))
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
     gpu.state.blend_set("ALPHA_PREMULT")
@@ -221,10 +219,10 @@ def show(picture: Picture, projection: Projection, voxel: float) -> None:
             continue
         gpu.state.scissor_set(left, bottom + low, width, high - low)
         _composite.bind()
-        _composite.uniform_block("place", buffer)
+        _composite.uniform_float("projection", (p[2, 2], p[2, 3], p[3, 2], p[3, 3]))
         _composite.uniform_sampler("picture", target.picture)
         _composite.uniform_sampler("depths", target.depths)
-        quad(_composite).draw(_composite)
+        triangle().draw(_composite)
     gpu.state.scissor_test_set(False)
     gpu.state.depth_test_set("NONE")
     gpu.state.depth_mask_set(False)

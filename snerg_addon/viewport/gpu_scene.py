@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import gpu
 import numpy as np
 
-from ...core.rendering.acceleration import chebyshev_distance
+from ...core.rendering.acceleration import chebyshev_distance, dilate_axis
 from ...core.scene.blocks import CELL_VOXELS
 from ...core.scene.scene import Scene
 from . import shader
@@ -91,29 +93,12 @@ def as_bytes(cells: np.ndarray, scene: Scene) -> np.ndarray:
 def skip_tables(cells: np.ndarray) -> np.ndarray:
     """Of each cell [M, 32, 32, 32, C] the distance [M, 8, 8, 8] uint8, in coarse voxels in the maximum norm, from a coarse voxel to the
     nearest in its cell that a sample could find something in; 0 there. A voxel weighs on samples up to one voxel away."""
-    full = (cells != 0).any(axis=-1)
-    wide = full.copy()
+    wide = (cells != 0).any(axis=-1)
     for axis in (1, 2, 3):
-        step = wide.copy()
-        ahead, back = [slice(None)] * 4, [slice(None)] * 4
-        ahead[axis], back[axis] = slice(1, None), slice(None, -1)
-        step[tuple(back)] |= wide[tuple(ahead)]
-        step[tuple(ahead)] |= wide[tuple(back)]
-        wide = step
+        wide = dilate_axis(wide, axis)
     n = COARSE_CELL
     coarse = wide.reshape(-1, n, COARSE, n, COARSE, n, COARSE).any(axis=(2, 4, 6))
-    distance = np.where(coarse, 0, 1).astype(np.uint8)
-    reached = coarse.copy()
-    for _ in range(1, n):
-        for axis in (1, 2, 3):
-            step = reached.copy()
-            ahead, back = [slice(None)] * 4, [slice(None)] * 4
-            ahead[axis], back[axis] = slice(1, None), slice(None, -1)
-            step[tuple(back)] |= reached[tuple(ahead)]
-            step[tuple(ahead)] |= reached[tuple(back)]
-            reached = step
-        distance += ~reached
-    return distance
+    return chebyshev_distance(coarse, n, axes=(1, 2, 3))
 
 
 def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
@@ -130,7 +115,7 @@ class Target:
     def __init__(self, width: int, height: int) -> None:
         self.size = width, height
         self.picture = gpu.types.GPUTexture(self.size, format="RGBA16F")
-        self.depths = gpu.types.GPUTexture(self.size, format="RGBA32F")
+        self.depths = gpu.types.GPUTexture(self.size, format="R32F")
         self.buffer = gpu.types.GPUFrameBuffer(color_slots=(self.picture, self.depths))
 
     def wait(self) -> None:
@@ -139,17 +124,20 @@ class Target:
             self.buffer.read_color(0, 0, 1, 1, 4, 0, "FLOAT")
 
     def pixels(self) -> tuple[np.ndarray, np.ndarray]:
-        """Premultiplied colour and alpha [H, W, 4], and depths [H, W, 4], top row first, float32."""
+        """Premultiplied colour and alpha [H, W, 4], and depths [H, W] along the view axis in world units, top row first, float32."""
         width, height = self.size
-        found = [np.array(t.read(), np.float32).reshape(height, width, 4)[::-1] for t in (self.picture, self.depths)]
-        return found[0], found[1]
+        colour, depths = (np.array(t.read(), np.float32) for t in (self.picture, self.depths))
+        return colour.reshape(height, width, 4)[::-1], depths.reshape(height, width)[::-1]
 
 
-def quad(program: gpu.types.GPUShader) -> gpu.types.GPUBatch:
-    """One triangle over the whole picture."""
-    from gpu_extras.batch import batch_for_shader
-
-    return batch_for_shader(program, "TRIS", {"pos": [(-1, -1), (3, -1), (-1, 3)]})
+@cache
+def triangle() -> gpu.types.GPUBatch:
+    """One triangle over the whole picture, for any of the viewport's shaders."""
+    form = gpu.types.GPUVertFormat()
+    form.attr_add(id="pos", comp_type="F32", len=2, fetch_mode="FLOAT")
+    corners = gpu.types.GPUVertBuf(form, 3)
+    corners.attr_fill("pos", ((-1, -1), (3, -1), (-1, 3)))
+    return gpu.types.GPUBatch(type="TRIS", buf=corners)
 
 
 def march(scene: GpuScene, view: np.ndarray, target: Target, rows: tuple[int, int] | None = None) -> None:
@@ -167,5 +155,5 @@ def march(scene: GpuScene, view: np.ndarray, target: Target, rows: tuple[int, in
         scene.shader.uniform_block("view", buffer)
         for name, held in scene.textures.items():
             scene.shader.uniform_sampler(name, held)
-        quad(scene.shader).draw(scene.shader)
+        triangle().draw(scene.shader)
         gpu.state.scissor_test_set(False)

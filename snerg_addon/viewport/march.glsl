@@ -111,5 +111,5 @@ void main()
   colour = vec4(rgb, 1.0 - transmittance);
   // A translucent ray has no such depth: what stands behind it stays visible, and what stands in front hides it at its entry.
   float shown = half_depth < 0.0 ? start : half_depth;
-  ray_depth = vec4(colour.a, shown * -towards.z, half_depth < 0.0 ? 0.0 : 1.0, 0.0);
+  ray_depth = shown * -towards.z * view.voxel.x;  // along the view axis, in world units
 }

@@ -26,13 +26,6 @@ struct View {
   vec4 voxel;            // its size in the world
 };
 """
-PLACE = """
-struct Place {
-  vec4 depth_row;
-  float voxel_size;
-  float _1, _2, _3;
-};
-"""
 
 
 def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
@@ -43,7 +36,7 @@ def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
     for slot, name in enumerate(sampler_names(scene, pages)):
         info.sampler(slot, "FLOAT_3D", name)
     info.fragment_out(0, "VEC4", "colour")
-    info.fragment_out(1, "VEC4", "ray_depth")
+    info.fragment_out(1, "FLOAT", "ray_depth")
     constants = {"DATA_VOXELS": f"{DATA_VOXELS}.0", "CELL_VOXELS": f"{CELL_VOXELS}.0"}
     parts = [lookup("rgba", pages), skip_lookup(pages)]
     if scene.network is not None:
@@ -60,8 +53,7 @@ def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
 def composite_shader() -> gpu.types.GPUShader:
     """The marched picture and its depth into the viewport."""
     info = _info()
-    info.typedef_source(PLACE)
-    info.uniform_buf(0, "Place", "place")
+    info.push_constant("VEC4", "projection")
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "depths")
     info.fragment_out(0, "VEC4", "colour")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...core.geometry.box import Box
 from ...core.scene.scene import Scene
 
 
@@ -75,10 +76,8 @@ def uniforms(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, proj
 
 def screen_rows(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, projection: Projection, height: int) -> tuple[int, int]:
     """(first, count): the rows of a picture, from the bottom, in which a scene can be seen; all where it reaches behind the camera."""
-    shape, signs = np.array(scene.shape), np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
-    corners = np.concatenate([signs * shape * scene.voxel_size, np.ones((8, 1))], axis=1)
-    camera = np.array(camera_to_world, np.float64)
-    clip = corners @ (projection.matrix @ np.linalg.inv(camera) @ placed(scene, matrix)).T
+    corners = np.concatenate([Box(np.eye(4), scene.box.size).corners(), np.ones((8, 1))], axis=1)  # in the object's own axes
+    clip = corners @ (projection.matrix @ np.linalg.inv(camera_to_world) @ matrix).T
     if (clip[:, 3] <= 1e-9).any():
         return 0, height
     rows = (clip[:, 1] / clip[:, 3] + 1) / 2 * height
