@@ -18,6 +18,7 @@ from ..core.io.files import new_folder
 from ..core.io.guard import reading
 
 KEY = "snerg_packed"  # the object's custom property: a zip of the folder's files, stored without compressing them again
+DIGEST = "snerg_packed_digest"  # another: which zip that is, so that redraws need not read it
 MAX_BYTES = 2**31 - 1  # that a property of Blender can hold
 
 
@@ -32,8 +33,9 @@ def pack(thing: bpy.types.Object, folder: Path) -> int:
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
         for file in files:
             archive.write(file, file.name)
-    thing[KEY] = buffer.getvalue()
-    return len(thing[KEY])
+    data = buffer.getvalue()
+    thing[KEY], thing[DIGEST] = data, hashlib.sha256(data).hexdigest()[:16]
+    return len(data)
 
 
 def is_packed(thing: bpy.types.Object) -> bool:
@@ -43,8 +45,9 @@ def is_packed(thing: bpy.types.Object) -> bool:
 
 def discard(thing: bpy.types.Object) -> None:
     """Keep no copy any more."""
-    if KEY in thing:
-        del thing[KEY]
+    for key in (KEY, DIGEST):
+        if key in thing:
+            del thing[key]
 
 
 def unpack(thing: bpy.types.Object, folder: Path) -> None:
@@ -67,8 +70,7 @@ def source_of(thing: bpy.types.Object, folder: Path) -> Path:
     """
     if folder.is_dir() or not is_packed(thing):
         return folder
-    name = hashlib.sha256(thing[KEY]).hexdigest()[:16]
-    copy = Path(tempfile.gettempdir()) / f"snerg-unpacked-{name}"
+    copy = Path(tempfile.gettempdir()) / f"snerg-unpacked-{thing[DIGEST]}"
     if not copy.is_dir():
         unpack(thing, copy)
     return copy
