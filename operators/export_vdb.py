@@ -12,25 +12,17 @@ from ..core.jobs.task import Task
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.scene_object import folder_of
 from ..snerg_addon.volume import add_volume
+from .scene_object_operator import SceneObjectOperator
 from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_vdb(TaskOperator, bpy.types.Operator):
+class SNERG_OT_export_vdb(SceneObjectOperator, TaskOperator, bpy.types.Operator):
     """Export the object's scene as an OpenVDB volume and add that as a volume object, which Cycles and EEVEE light"""
 
     bl_idname = "snerg.export_vdb"
     bl_label = "Make Volume"
     bl_options = {"REGISTER"}
     step, label = "export", "Exporting the volume"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """The active object must show a baked scene."""
-        thing = context.object
-        if thing is None or thing.type != "EMPTY" or not thing.snerg.folder:
-            cls.poll_message_set("The active object is no SNeRG object")
-            return False
-        return True
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """The command `export-vdb`."""

@@ -7,19 +7,19 @@ import bpy
 from ..core.errors import SnergError
 from ..snerg_addon import packing
 from ..snerg_addon.scene_object import folder_of
+from .scene_object_operator import SceneObjectOperator
 
 
-class SceneObjectOperator:
-    """Mixed into an operator on the active SNeRG object."""
+class PackingOperator(SceneObjectOperator):
+    """Mixed into an operator that changes what the object's own file holds."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the active object shows a baked scene and is the file's own."""
-        thing = context.object
-        return thing is not None and thing.type == "EMPTY" and bool(thing.snerg.folder) and thing.library is None
+        return super().poll(context) and context.object.library is None
 
 
-class SNERG_OT_pack_scene(SceneObjectOperator, bpy.types.Operator):
+class SNERG_OT_pack_scene(PackingOperator, bpy.types.Operator):
     """Keep a copy of the scene's files in this .blend file"""
 
     bl_idname = "snerg.pack_scene"
@@ -38,7 +38,7 @@ class SNERG_OT_pack_scene(SceneObjectOperator, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class SNERG_OT_unpack_scene(SceneObjectOperator, bpy.types.Operator):
+class SNERG_OT_unpack_scene(PackingOperator, bpy.types.Operator):
     """Write the packed scene to its folder where that is gone, and keep no copy in this .blend file any more"""
 
     bl_idname = "snerg.unpack_scene"

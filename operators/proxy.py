@@ -9,9 +9,10 @@ from ..core.errors import SnergError
 from ..snerg_addon.proxy import add_proxy
 from ..snerg_addon.scene_object import source_of
 from ..snerg_addon.viewport.loading import cached
+from .scene_object_operator import SceneObjectOperator
 
 
-class SNERG_OT_proxy(bpy.types.Operator):
+class SNERG_OT_proxy(SceneObjectOperator, bpy.types.Operator):
     """Add a mesh of the baked scene's surface as a child of its object, which catches shadows, or cuts its outline out of a render"""
 
     bl_idname = "snerg.proxy"
@@ -30,15 +31,6 @@ class SNERG_OT_proxy(bpy.types.Operator):
     threshold: bpy.props.FloatProperty(
         name="Opacity", description="Opacity of a voxel at which the surface lies", default=0.5, min=0.01, max=0.99, subtype="FACTOR"
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the active object shows a baked scene."""
-        thing = context.object
-        if thing is None or thing.type != "EMPTY" or not thing.snerg.folder:
-            cls.poll_message_set("Select an object that shows a baked scene")
-            return False
-        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Make the mesh, or update the one there is."""

@@ -17,7 +17,7 @@ from ..core.progress import Progress
 from ..core.rendering.render import render_scene
 from ..core.scene.scene import Scene
 from .bridge import camera_from_blender, resolution
-from .scene_object import placed_camera, source_of
+from .scene_object import is_snerg_object, placed_camera, snerg_objects, source_of
 from .viewport.loading import cached
 
 BAND = 64  # rows of pixels that are rendered, and shown, together
@@ -113,7 +113,7 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
 
 def shown_in(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
     """The SNeRG objects of a scene that render."""
-    return (thing for thing in scene.objects if thing.type == "EMPTY" and thing.snerg.folder and not thing.hide_render)
+    return (thing for thing in snerg_objects(scene) if not thing.hide_render)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
     """What of SNeRG objects, instances too, is in a frame. Raises SnergError where one cannot be rendered."""
     for instance in depsgraph.object_instances:
         thing = instance.object
-        if thing.type != "EMPTY" or not thing.snerg.folder or not instance.show_self:
+        if not is_snerg_object(thing) or not instance.show_self:
             continue
         matrix = np.array(instance.matrix_world, np.float64)
         scene = cached(source_of(thing.original))

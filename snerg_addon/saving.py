@@ -27,6 +27,7 @@ from .owner import (
     unsaved_root,
     write_owner,
 )
+from .scene_object import folder_of, snerg_objects
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
 _old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
@@ -38,6 +39,11 @@ _path_before_save = ""  # of the open file, while it is being saved
 def local_scenes() -> Iterator[bpy.types.Scene]:
     """The scenes of this file that are not linked from a library."""
     return (scene for scene in bpy.data.scenes if scene.path_resolve("library") is None)
+
+
+def local_objects() -> Iterator[bpy.types.Object]:
+    """The SNeRG objects of this file that are not linked from a library."""
+    return (thing for thing in snerg_objects(bpy.data) if thing.library is None)
 
 
 @persistent
@@ -55,15 +61,12 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
         old = scene.snerg.folder
         if not bpy.data.filepath:
             if (unsaved_folder(scene) / OWNER).is_file() and (not old or old.startswith("//")):
-                moves[unsaved_folder(scene)] = automatic_folder(scene, path, empty=True)
-                _old_folders[scene.name], scene.snerg.folder = old, blend_path(automatic_folder(scene, path, empty=True), start)
+                moves[unsaved_folder(scene)] = target = automatic_folder(scene, path, empty=True)
+                _old_folders[scene.name], scene.snerg.folder = old, blend_path(target, start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
             _old_folders[scene.name], scene.snerg.folder = old, blend_path(absolute_path(old, scene), start)
-    for thing in bpy.data.objects:
-        old = thing.snerg.folder
-        if thing.library is not None or not old:
-            continue
-        folder = Path(os.path.abspath(bpy.path.abspath(old)))
+    for thing in local_objects():
+        old, folder = thing.snerg.folder, folder_of(thing)
         moved = next((target / folder.relative_to(source) for source, target in moves.items() if folder.is_relative_to(source)), None)
         if moved is not None or (old.startswith("//") and os.path.dirname(bpy.data.filepath) != start):
             _old_paths[thing.name], thing.snerg.folder = old, blend_path(moved or folder, start)
@@ -162,9 +165,8 @@ def move_saved_project(scene: bpy.types.Scene) -> None:
 
 def follow_move(source: Path, target: Path) -> None:
     """Make the objects that show scenes of a moved project show them where they are now."""
-    for thing in bpy.data.objects:
-        folder = Path(os.path.abspath(bpy.path.abspath(thing.snerg.folder))) if thing.snerg.folder and thing.library is None else None
-        if folder is not None and folder.is_relative_to(source):
+    for thing in local_objects():
+        if (folder := folder_of(thing)).is_relative_to(source):
             thing.snerg.folder = blend_path(target / folder.relative_to(source))
 
 

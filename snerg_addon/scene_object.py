@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.errors import SnergError
+from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
 from ..core.scene.scene import Scene
 from . import packing
@@ -59,8 +60,8 @@ def show_scene(scene: bpy.types.Scene, project: Project, folder: Path) -> bpy.ty
         baked = cached(folder)
     except SnergError:
         return None
-    for thing in scene.objects:
-        if thing.type == "EMPTY" and thing.snerg.folder and folder_of(thing).is_relative_to(project.folder):
+    for thing in snerg_objects(scene):
+        if folder_of(thing).is_relative_to(project.folder):
             moved = np.array(thing.matrix_world, np.float64) @ np.linalg.inv(placement(thing)) @ baked.box.box_to_world
             point_at(thing, baked, folder)
             thing.matrix_world = Matrix(moved.tolist())
@@ -80,9 +81,14 @@ def point_at(thing: bpy.types.Object, scene: Scene, folder: Path) -> None:
     thing.snerg.baked_at = scene.box.box_to_world.ravel().tolist()
 
 
-def snerg_objects(layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Object]:
-    """The SNeRG objects of a view layer."""
-    return (thing for thing in layer.objects if thing.type == "EMPTY" and thing.snerg.folder)
+def is_snerg_object(thing: bpy.types.Object | None) -> bool:
+    """Whether an object shows a baked scene."""
+    return thing is not None and thing.type == "EMPTY" and bool(thing.snerg.folder)
+
+
+def snerg_objects(holder: bpy.types.ViewLayer | bpy.types.Scene | bpy.types.BlendData) -> Iterator[bpy.types.Object]:
+    """The SNeRG objects among the `objects` of a view layer, a scene or the file."""
+    return (thing for thing in holder.objects if is_snerg_object(thing))
 
 
 def folder_of(thing: bpy.types.Object) -> Path:
@@ -119,9 +125,7 @@ def problem_of(thing: bpy.types.Object) -> str:
 
 def box_corners(thing: bpy.types.Object) -> np.ndarray | None:
     """[8, 3], the corners in the world of the box that was baked; None where it is not known."""
-    size = np.array(thing.snerg.size)
-    if not size.all():
+    if not all(thing.snerg.size):
         return None
-    signs = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), axis=-1).reshape(8, 3)
     matrix = np.array(thing.matrix_world, np.float64)
-    return (signs * size / 2) @ matrix[:3, :3].T + matrix[:3, 3]
+    return Box(np.eye(4), np.array(thing.snerg.size)).corners() @ matrix[:3, :3].T + matrix[:3, 3]

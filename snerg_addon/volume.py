@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import bpy
 
-from .owner import blend_path
+from .owner import absolute_path, blend_path
 from .scene_object import folder_of, snerg_objects
 
 NAME = "SNeRG Volume"
@@ -22,7 +21,7 @@ def add_volume(scene: bpy.types.Scene, path: Path, source: Path) -> bpy.types.Ob
     if parent is None:
         return None
     for child in parent.children:
-        if child.type == "VOLUME" and os.path.abspath(bpy.path.abspath(child.data.filepath)) == os.path.abspath(path):
+        if child.type == "VOLUME" and absolute_path(child.data.filepath, scene) == path:
             child.data.grids.unload()  # written again
             return child
     volume = bpy.data.volumes.new(NAME)

@@ -6,7 +6,7 @@ import bpy
 
 from ...core.errors import SnergError
 from .. import packing
-from ..scene_object import problem_of, source_of
+from ..scene_object import is_snerg_object, problem_of, source_of
 from ..viewport import draw
 from ..viewport.loading import loaded
 from .layout import draw_box, draw_sentence
@@ -24,7 +24,7 @@ class SNERG_PT_object(bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the object shows a baked scene."""
-        return context.object is not None and context.object.type == "EMPTY" and bool(context.object.snerg.folder)
+        return is_snerg_object(context.object)
 
     def draw(self, context: bpy.types.Context) -> None:
         """The folder, what is wrong with it, and what the scene holds."""
