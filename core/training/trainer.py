@@ -8,7 +8,7 @@ import sys
 import time
 from ast import literal_eval
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -226,8 +226,10 @@ def resume_from(trainer: Trainer, folder: Path) -> None:
 def run_to_the_end(trainer: Trainer, saver: Saver | None, progress: Progress) -> None:
     """Run the trainer; report to `progress`, and log and save with the saver."""
     known = len(trainer.state.decisions)
-    notify = progress if trainer.devices.processes == 1 else _together(trainer, progress)
-    with closing(trainer.run()) as run:  # type: ignore[type-var]
+    together = trainer.devices.processes > 1
+    notify = _together(trainer, progress) if together else progress
+    # One process that left at once would leave the others waiting: like a save, parting may take longer than Ctrl-C otherwise does.
+    with SAVING if together else nullcontext(), closing(trainer.run()) as run:  # type: ignore[type-var]
         for report in run:
             notify(report.fraction, report.text())
             for decision in trainer.state.decisions[known:]:
