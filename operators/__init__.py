@@ -10,6 +10,7 @@ def classes() -> tuple[type[Any], ...]:
     from . import (
         add_box,
         add_scene,
+        ask_python,
         bake,
         cancel,
         composite,
@@ -34,6 +35,6 @@ def classes() -> tuple[type[Any], ...]:
     modules = (
         *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
         *(composite, proxy),
-        *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder),
+        *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder, ask_python),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

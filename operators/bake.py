@@ -7,12 +7,12 @@ from typing import Any
 import bpy
 
 from ..core.io.files import json_bytes, write_bytes
-from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.scene_object import show_scene
+from ..snerg_addon.training_python import start_training
 from .task_operator import TaskOperator, awaited
 
 
@@ -31,7 +31,7 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
         out = project.new_version("scene")
         recorded = [part for part in arguments if part not in ("--box", str(project.box))]
         project.note_settings(out, ["--field", project.name_of(field), *recorded])
-        return start_command(["bake", str(field), "--out", str(out), *arguments])
+        return start_training(["bake", str(field), "--out", str(out), *arguments])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version and put it in use. Warns where the box holds nothing."""

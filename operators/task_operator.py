@@ -161,7 +161,7 @@ def redraw() -> bool:
     drawn = True
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "IMAGE_EDITOR"):
+            if area.type in ("VIEW_3D", "IMAGE_EDITOR", "PREFERENCES"):
                 area.tag_redraw()
         if window.modal_operators:  # the status bar may hold a text of theirs, which this would clear
             drawn = False

@@ -8,11 +8,10 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, engine, menus, panels, preferences, properties, saving, scene_object
+from . import command, engine, menus, panels, properties, saving, scene_object, training_python
 from .viewport import draw
 
 CLASSES = (
-    preferences.SNERG_AP_preferences,
     *properties.CLASSES,
     scene_object.SNERG_PG_object,
     engine.SNERG_RE_engine,
@@ -43,6 +42,7 @@ def unregister() -> None:
     engine.remove_panels()
     draw.unregister()
     watch.unregister()
+    training_python.stop()
     saving.unregister()
     quit.remove_keys()
     while _commands:
