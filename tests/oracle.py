@@ -34,7 +34,8 @@ class Truth:
 def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
     """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
-    values, transmittance, depth = dense_rays(scene, origins, directions, max(scene.near, camera.near), per_sample_network)
+    near = np.maximum(scene.near, camera.near / (directions @ -camera.camera_to_world[:3, 2]))  # a plane, as Blender's clip start
+    values, transmittance, depth = dense_rays(scene, origins, directions, near, per_sample_network)
     colour = values[:, :3].copy()
     if scene.network is not None and not per_sample_network:
         seen = transmittance <= NETWORK_TRANSMITTANCE
@@ -43,13 +44,13 @@ def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) 
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = np.where(transmittance < 1, depth / (1 - transmittance), np.inf)
         if scene.ndc is not None:
-            depth = world_depth(scene.ndc, origins, directions, depth, max(scene.near, camera.near))
+            depth = world_depth(scene.ndc, origins, directions, depth, near)
     h, w = camera.height, camera.width
     return Truth(colour.reshape(h, w, 3), transmittance.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
 def dense_rays(
-    scene: Scene, origins: np.ndarray, directions: np.ndarray, near: float, per_sample_network: bool = False
+    scene: Scene, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray, per_sample_network: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """March rays of the world: premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N], in the grid's units."""
     begins = near
@@ -92,7 +93,7 @@ def correct_opacity(values: np.ndarray, transmittance: np.ndarray, depth: np.nda
     return values * factor[:, None], 1 - factor * (1 - transmittance), depth * factor
 
 
-def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
+def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origins and unit directions [N, 3] of rays in NDC (NeRF, appendix C); rays that miss the frame start far outside the grid."""
     axes, position = ndc.camera_to_world[:3, :3], ndc.camera_to_world[:3, 3]
     origin, (dx, dy, dz) = (origins - position) @ axes, (directions @ axes).T
@@ -107,7 +108,7 @@ def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: flo
     return np.where(seen[:, None], start, 1e6), np.where(seen[:, None], along, [0, 0, 1.0])
 
 
-def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray, near: float) -> np.ndarray:
+def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray, near: float | np.ndarray) -> np.ndarray:
     """World distance [N] of the points at a distance [N] along the rays in NDC."""
     start, along = device_rays(ndc, origins, directions, near)
     x, y, z = (start + distance[:, None] * along).T

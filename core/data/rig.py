@@ -15,6 +15,7 @@ from ..geometry.camera import Camera, focal_from_angle
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 MIN_ELEVATION_SINE = 0.02  # of a camera in a hemisphere, so that none looks exactly along the ground
+CLIP_RATIO = 100.0  # of the clip planes to the distance: the far one to it, and it to the near one
 MARGIN = 1.05  # distance relative to that at which the box's circumscribed sphere touches the image's border
 
 
@@ -53,7 +54,7 @@ def look_at(position: NDArray[Any], target: NDArray[Any]) -> NDArray[Any]:
 
 
 def rig_cameras(box: Box, settings: RigSettings, width: int, height: int) -> tuple[Camera, ...]:
-    """Cameras of `width` x `height` pixels that look at the box's centre.
+    """Cameras of `width` x `height` pixels that look at the box's centre, with clip planes for the box's size.
 
     Raises SnergError when the field of view is not between 0 and pi, or the cameras would stand inside the box.
     """
@@ -63,6 +64,7 @@ def rig_cameras(box: Box, settings: RigSettings, width: int, height: int) -> tup
     if distance <= float(box.size.min()) / 2:
         raise SnergError(f"The rig stands {distance:.3g} from the box's centre, which is inside the box; move it further out.")
     common: dict[str, Any] = {"width": width, "height": height, "focal": (focal, focal), "centre": (width / 2, height / 2)}
+    common |= {"near": distance / CLIP_RATIO, "far": distance * CLIP_RATIO}
     return tuple(
         Camera(**common, camera_to_world=look_at(centre + distance * direction, centre), name=f"Rig {index:03d}")
         for index, direction in enumerate(directions(settings.count, settings.hemisphere))

@@ -19,6 +19,7 @@ from ..io.schema import FAR, text
 from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
+MIN_COSINE = 1e-3  # between a ray and the view axis; a ray nearer to 90 degrees, as a fisheye has, does not meet the clip planes
 MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
 
 
@@ -36,8 +37,9 @@ class Camera:
     camera_to_world: NDArray[Any]  # [4, 4] float64, rigid (see `rigid`)
     projection: str = "perspective"  # or 'orthographic'
     name: str = ""
-    near: float = 0.0  # distance along the ray, in world units, before which nothing is visible
+    near: float = 0.0  # distance along the view axis, in world units, before which nothing is visible
     distortion: Distortion | None = None  # of the lens; None for an ideal one
+    far: float = math.inf  # distance along the view axis, in world units, behind which nothing is visible
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -48,6 +50,8 @@ class Camera:
             raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the most is {MAX_PIXELS} in all.")
         if not (math.isfinite(self.near) and self.near >= 0):
             raise SnergError(f"Camera {self.name!r} has its near plane at {self.near}; it must be finite and not below 0.")
+        if not self.far > self.near:
+            raise SnergError(f"Camera {self.name!r} has its far plane at {self.far}; it must be behind its near plane at {self.near}.")
         if not all(math.isfinite(f) and f > 0 for f in self.focal):
             raise SnergError(f"Camera {self.name!r} has a focal length of {self.focal} pixels; it must be finite and above 0.")
         if not np.isfinite(self.centre).all():
@@ -120,10 +124,10 @@ class Camera:
         return replace(self, width=width, height=height, focal=focal, centre=centre)
 
     def moved(self, similarity: NDArray[Any]) -> Camera:
-        """The camera transformed by a similarity [4, 4] to another world; its near distance is scaled as well."""
+        """The camera transformed by a similarity [4, 4] to another world; its near and far distances are scaled as well."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
         focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
-        return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, focal=focal)
+        return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, far=self.far * scale, focal=focal)
 
     def _normalised(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """Pixels (column, row) [N, 2] to normalised image coordinates [N, 2] of their centres: at depth 1, x right, y down."""
@@ -142,7 +146,14 @@ class Camera:
     def shows(self, points: NDArray[Any]) -> NDArray[Any]:
         """Whether world points [N, 3] lie in the camera's frustum, bool [N]. Occlusion is not considered."""
         pixels, depth = self.project(points)
-        return np.asarray((depth > self.near) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1))
+        return np.asarray((depth > self.near) & (depth < self.far) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1))
+
+    def clip(self, directions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """(near, far): distances [N] along rays of directions [N, 3] to the clip planes, which are planes as in Blender."""
+        cosine = -(directions @ self.camera_to_world[:3, 2])
+        ahead = cosine > MIN_COSINE
+        cosine = np.where(ahead, cosine, 1.0)
+        return np.where(ahead, self.near / cosine, 0.0), np.where(ahead, self.far / cosine, np.inf)
 
     def toward(self, points: NDArray[Any]) -> NDArray[Any]:
         """View directions of world points [N, 3], unit vectors [N, 3] float64; undefined for a point at the camera's position."""
@@ -161,6 +172,7 @@ class Camera:
             "focal": [float(f) for f in self.focal],
             "centre": [float(c) for c in self.centre],
             "near": float(self.near),
+            **({"far": float(self.far)} if math.isfinite(self.far) else {}),
             "camera_to_world": self.camera_to_world.tolist(),
             **({"distortion": self.distortion.to_json()} if self.distortion is not None else {}),
         }
@@ -179,6 +191,7 @@ class Camera:
                 projection=str(value["projection"]),
                 name=text(value["name"], "name"),
                 near=float(value["near"]),
+                far=float(value.get("far", math.inf)),
                 distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
             )
         except SnergError:

@@ -19,11 +19,12 @@ PARALLEL_EPSILON = 1e-12  # magnitude of a direction's component (float64) below
 
 
 def intersect_grid(
-    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float
+    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float | NDArray[Any], far: NDArray[Any] | None = None
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Clip rays of the world against the grid (slab test) and express them in voxels.
 
-    origins, directions: [N, 3] float64, directions of unit length. near: world units along the ray.
+    origins, directions: [N, 3] float64, directions of unit length. near, far: world units along the ray, for all or [N]; far is not
+    applied in NDC.
 
     Returns the entry point and the unit direction, both [3, N] float32 in voxel coordinates, and the distances [N] float64, in voxels
     from the ray's origin (in NDC: from the near plane), at which the ray enters and leaves the grid; the latter is -1 for a miss.
@@ -37,6 +38,8 @@ def intersect_grid(
     local /= scene.voxel_size
     local_directions = rotation.T @ directions.T
     start, stop = begins / scene.voxel_size, np.full(len(origins), np.inf)
+    if far is not None and scene.ndc is None:
+        stop = far / scene.voxel_size
     enters = np.full(len(origins), -np.inf)
     for origin, direction, size in zip(local, local_directions, scene.shape, strict=True):
         parallel = np.abs(direction) < PARALLEL_EPSILON

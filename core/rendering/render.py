@@ -52,8 +52,8 @@ class MarchSettings:
 
 def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent) -> Frame:
     """Render a baked scene from a camera. `progress` may raise Cancelled, which stops the march within tenths of a second."""
-    pixels, near = tiled_pixels(camera.width, camera.height), max(scene.near, camera.near)
-    rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, near)
+    pixels = tiled_pixels(camera.width, camera.height)
+    rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, scene.near, camera=camera)
     colour, alpha = rays.colour, 1 - rays.transmittance
     depth = np.where(alpha > 0, rays.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
 
@@ -61,7 +61,8 @@ def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSe
         """Depth in the world and view dependence of the pixels that are not empty, in place."""
         rows = part.start + np.flatnonzero(alpha[part] > 0)
         origins, directions = camera.rays(pixels[rows])
-        depth[rows] = world_distance(scene.ndc, origins, directions, depth[rows], near)
+        begins = np.maximum(camera.clip(directions)[0], scene.near)
+        depth[rows] = world_distance(scene.ndc, origins, directions, depth[rows], begins)
         if not settings.per_sample_network:
             colour[rows] = shade(scene.network, rays.part(rows), directions @ scene.view_rotation.T)
 
@@ -117,9 +118,13 @@ def _march(
     progress: Progress,
     near: float,
     visited: NDArray[Any] | None = None,
+    camera: Camera | None = None,
 ) -> Composited:
-    """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3]."""
-    march = _March(scene, rays, count, settings, near)
+    """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3].
+
+    camera: clips the rays at its clip planes, if given.
+    """
+    march = _March(scene, rays, count, settings, near, camera)
     chunk = min(MAX_CHUNK_RAYS, max(-(-count // (settings.threads * PACKET_RAYS)), 1) * PACKET_RAYS)
     queue = RayQueue(march.make_batch, _chunks(0, count, chunk), settings.threads)
     stop = settings.stop_transmittance
@@ -144,8 +149,9 @@ class _March:
         count: int,
         settings: MarchSettings,
         near: float,
+        camera: Camera | None,
     ) -> None:
-        self.scene, self.rays, self.near, self.skip = scene, rays, near, settings.skip
+        self.scene, self.rays, self.near, self.camera, self.skip = scene, rays, near, camera, settings.skip
         self.acceleration = acceleration_of(scene)
         self.output = MarchOutput(np.zeros((count, self.acceleration.channels), np.float32), np.ones(count, np.float32))
         self.start = np.zeros(count, np.float32)  # voxels from a ray's origin to where it enters the grid
@@ -163,7 +169,10 @@ class _March:
         origins, directions = self.rays(part)
         if self.per_sample:
             self.view_directions[part] = directions @ self.scene.view_rotation.T
-        return intersect_grid(self.scene, origins, directions, self.near)
+        if self.camera is None:
+            return intersect_grid(self.scene, origins, directions, self.near)
+        near, far = self.camera.clip(directions)
+        return intersect_grid(self.scene, origins, directions, np.maximum(near, self.scene.near), far)
 
     def view_residual(self, colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
         """View dependence of samples (see ray_marcher.ViewResidual)."""

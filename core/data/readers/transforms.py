@@ -183,6 +183,7 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
         projection=str(value.get("projection", "perspective")),
         name=name,
         near=float(value.get("near", 0)),
+        far=float(value.get("far", math.inf)),
         distortion=read_lens(value, where),
     )
 
@@ -291,6 +292,8 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
         value["projection"] = camera.projection
     if camera.near:
         value["near"] = float(camera.near)
+    if math.isfinite(camera.far):
+        value["far"] = float(camera.far)
     return value
 
 
