@@ -5,12 +5,13 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..snerg_addon.bridge import add_box
-from ..snerg_addon.capture import evaluated
+from ..snerg_addon.render_evaluation import evaluate_render
+from ..snerg_addon.rendered import corners_of, owner_of, rendered_instances
 
 MARGIN = 1.05  # size of the box over that of the objects, so that their surfaces lie inside
-SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "CURVES", "POINTCLOUD"}
 
 
 class SNERG_OT_add_box(bpy.types.Operator):
@@ -30,7 +31,12 @@ class SNERG_OT_add_box(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add the empty, select it, and make it the scene's box."""
-        empty = add_box(fitted_box(context), context.scene)
+        try:
+            box = fitted_box(context)
+        except SnergError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        empty = add_box(box, context.scene)
         for thing in context.selected_objects:
             thing.select_set(False)
         empty.select_set(True)
@@ -39,20 +45,20 @@ class SNERG_OT_add_box(bpy.types.Operator):
 
 
 def fitted_box(context: bpy.types.Context) -> Box:
-    """A box round the selected objects with volume or surface, else round all that render, else 2 units wide at the 3D cursor."""
-    solid = [thing for thing in context.scene.objects if thing.type in SOLID and not thing.hide_render]
-    chosen = [thing for thing in solid if thing.select_get()] or solid
+    """A box round what renders of the selected objects, else round all that renders, else 2 units wide at the 3D cursor.
+
+    Instances count, of collections and of geometry nodes; helpers that do not render do not. Raises SnergError.
+    """
+
+    def read(depsgraph: bpy.types.Depsgraph) -> list[tuple[bpy.types.Object, np.ndarray]]:
+        return [(owner_of(instance), corners_of(instance)) for instance in rendered_instances(depsgraph)]
+
+    found = evaluate_render(context.scene, read, layer=context.scene.snerg.view_layer)
+    chosen = [corners for owner, corners in found if owner.select_get()] or [corners for _, corners in found]
     if not chosen:
         cursor = np.array(context.scene.cursor.location)
         return Box.axis_aligned(cursor - 1, cursor + 1)
-    depsgraph = evaluated(context.scene)
-    corners = np.concatenate([bound_corners(thing.evaluated_get(depsgraph)) for thing in chosen])
+    corners = np.concatenate(chosen)
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = np.maximum((high - low) / 2 * MARGIN, 1e-3 * max(float((high - low).max()), 1e-3))
     return Box.axis_aligned((low + high) / 2 - half, (low + high) / 2 + half)
-
-
-def bound_corners(thing: bpy.types.Object) -> np.ndarray:
-    """The corners [8, 3] of an evaluated object's bounding box, in world space."""
-    matrix = np.array(thing.matrix_world, np.float64)
-    return np.array([list(corner) for corner in thing.bound_box], np.float64) @ matrix[:3, :3].T + matrix[:3, 3]

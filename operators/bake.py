@@ -8,9 +8,9 @@ import bpy
 
 from ..core.io.files import json_bytes, write_bytes
 from ..core.jobs.task import Task
-from ..snerg_addon.bridge import box_from_blender, box_of
-from ..snerg_addon.capture import evaluated
+from ..snerg_addon.bridge import box_of
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.render_evaluation import evaluated_box
 from ..snerg_addon.scene_object import show_scene
 from ..snerg_addon.training_python import start_training
 from .task_operator import TaskOperator, awaited
@@ -64,4 +64,4 @@ def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:
     box = box_of(context.scene)
     if box is None or project.notes().get("field", {}).get("ndc"):
         return None
-    return json_bytes(box_from_blender(box, evaluated(context.scene)).to_json())
+    return json_bytes(evaluated_box(context.scene, box).to_json())

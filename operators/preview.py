@@ -17,9 +17,9 @@ from ..core.nerf.frame import Frame
 from ..core.progress import Progress
 from ..core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, render_progressively
 from ..core.scene.scene import Scene
-from ..snerg_addon.bridge import camera_from_blender, write_image
-from ..snerg_addon.capture import evaluated
+from ..snerg_addon.bridge import write_image
 from ..snerg_addon.project import Project
+from ..snerg_addon.render_evaluation import evaluated_cameras
 from .task_operator import TaskOperator, redraw
 
 
@@ -44,7 +44,7 @@ class SNERG_OT_preview(TaskOperator, bpy.types.Operator):
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """Render in a thread, which needs only NumPy."""
         scene = context.scene
-        camera = camera_from_blender(scene.camera, scene, evaluated(scene))
+        (camera,) = evaluated_cameras(scene, [scene.camera])
         background = None if scene.snerg.transparent else tuple(scene.snerg.background)
 
         def show(frame: Frame) -> None:

@@ -12,11 +12,14 @@ from ..core.data.rig import RigSettings, rig_cameras
 from ..core.errors import SnergError
 from ..core.io.files import check_replaceable
 from ..core.jobs.task import StepTask, Task
-from ..snerg_addon.bridge import box_from_blender, box_of, resolution
-from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated, render_steps, unfinished
+from ..snerg_addon.bridge import box_of, resolution
+from ..snerg_addon.capture import core_cameras, render_steps, shot_splits, unfinished
+from ..snerg_addon.capture_scene import CaptureSettings
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project, project_of, remember
+from ..snerg_addon.render_evaluation import evaluated_box
 from ..snerg_addon.render_job import render_job
+from ..snerg_addon.shots import Moment, Shot
 from .task_operator import TaskOperator
 
 
@@ -39,20 +42,23 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """A job that renders a copy of the file; in background mode, which has no window to keep free, a task in this process."""
         scene, settings = context.scene, context.scene.snerg
-        box = box_from_blender(box_of(scene), evaluated(scene)) if box_of(scene) else None
-        shots = chosen_shots(context)
-        core_cameras(scene, shots)  # raises now where a camera could not be rendered later
+        box = evaluated_box(scene, box_of(scene)) if box_of(scene) else None
+        shots, capture = chosen_shots(context), capture_settings(context)
+        core_cameras(scene, shots[:1] if settings.over_frames else shots)  # raises now where a camera could not be rendered later
+        shot_splits(shots, capture)
         for folder in (project.own_dataset, unfinished(project.own_dataset)):
             check_replaceable(folder)
         if bpy.app.background:
-            return StepTask(render_steps(scene, shots, project.own_dataset, CaptureSettings(settings.test_every), box, self.goes_on))
+            return StepTask(render_steps(scene, shots, project.own_dataset, capture, box, self.goes_on))
         chosen = rig_settings(context) if settings.cameras == "RIG" else shots
-        return render_job(scene, chosen, project.own_dataset, settings.test_every, box, self.goes_on)
+        return render_job(scene, chosen, project.own_dataset, capture, box, self.goes_on)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the dataset, and make it the one to train on."""
         scene.snerg.dataset = ""
         remember(project, "dataset", project.own_dataset, result)
+        for warning in result.get("warnings", []):
+            self.report({"WARNING"}, warning)
         kept = f"; {result['kept']} of them were kept from the run before and show the scene as it was then" if result.get("kept") else ""
         return f"Rendered {result['train']} views to train on and {result['test']} to test on into {project.own_dataset}{kept}"
 
@@ -75,12 +81,37 @@ class SNERG_OT_use_views(bpy.types.Operator):
 
 
 def chosen_shots(context: bpy.types.Context) -> list[Shot]:
-    """The cameras that the settings choose, sorted by name. Raises SnergError where there are none."""
-    settings = context.scene.snerg
+    """The cameras that the settings choose, sorted by name, at each frame if they say so. Raises SnergError where there are none."""
+    scene, settings = context.scene, context.scene.snerg
     if settings.cameras == "RIG":
-        box = box_from_blender(box_of(context.scene), evaluated(context.scene))
-        return list(rig_cameras(box, rig_settings(context), *resolution(context.scene)))
-    return scene_cameras(context, settings.cameras)
+        box = evaluated_box(scene, box_of(scene))
+        return list(rig_cameras(box, rig_settings(context), *resolution(scene)))
+    cameras = scene_cameras(context, settings.cameras)
+    if not settings.over_frames:
+        return list(cameras)
+    frames = range(scene.frame_start, scene.frame_end + 1, settings.frame_step)
+    if settings.cameras == "ACTIVE":
+        return [Moment(active_at(scene, frame), frame) for frame in frames]
+    return [Moment(camera, frame) for camera in cameras for frame in frames]
+
+
+def active_at(scene: bpy.types.Scene, frame: int) -> bpy.types.Object:
+    """The camera that renders a frame: the last marker's before it that has one, else the first such marker's, else the scene's."""
+    bound = sorted((marker for marker in scene.timeline_markers if marker.camera is not None), key=lambda marker: marker.frame)
+    before = [marker.camera for marker in bound if marker.frame <= frame]
+    return before[-1] if before else bound[0].camera if bound else scene.camera
+
+
+def capture_settings(context: bpy.types.Context) -> CaptureSettings:
+    """What of the scene the dataset shows, by the panel's settings."""
+    settings = context.scene.snerg
+    held_out = settings.test_cameras
+    names = tuple(sorted(thing.name_full for thing in held_out.all_objects if thing.type == "CAMERA")) if held_out is not None else ()
+    if settings.cameras == "RIG":
+        names = ()
+    elif held_out is not None and not names:
+        raise SnergError(f"The collection {held_out.name!r} of the test cameras holds no camera; choose another under Test Cameras.")
+    return CaptureSettings(settings.test_every, names, settings.view_layer, settings.look == "SCENE")
 
 
 def rig_settings(context: bpy.types.Context) -> RigSettings:
@@ -89,7 +120,7 @@ def rig_settings(context: bpy.types.Context) -> RigSettings:
     return RigSettings(settings.rig_count, settings.rig_shape == "HEMISPHERE", settings.rig_angle, settings.rig_distance)
 
 
-def scene_cameras(context: bpy.types.Context, which: str) -> list[Shot]:
+def scene_cameras(context: bpy.types.Context, which: str) -> list[bpy.types.Object]:
     """The cameras of the scene, sorted by name. which: 'ALL', 'SELECTED' or 'ACTIVE'. Raises SnergError where there are none."""
     if which == "ACTIVE":
         cameras = [context.scene.camera] if context.scene.camera else []

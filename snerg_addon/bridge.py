@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import math
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +61,7 @@ def camera_from_blender(
         projection="perspective" if kind == "PERSP" else "orthographic",
         name=camera.name,
         near=float(evaluated.data.clip_start),
+        far=float(evaluated.data.clip_end),
     )
 
 
@@ -82,6 +82,8 @@ def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene 
     data.shift_y = (source.centre[1] - height / 2) * aspect / width
     if source.near > 0:
         data.clip_start = source.near
+    if math.isfinite(source.far):
+        data.clip_end = source.far
     camera.matrix_world = Matrix(source.camera_to_world.tolist())
     if scene is not None:
         set_picture(scene, source)
@@ -131,18 +133,6 @@ def add_box(box: Box, scene: bpy.types.Scene, name: str = BOX) -> bpy.types.Obje
     empty.show_name = True
     scene.snerg.box = empty
     return empty
-
-
-@contextmanager
-def temporary_camera() -> Iterator[bpy.types.Object]:
-    """A camera object in no scene, deleted at the end."""
-    data = bpy.data.cameras.new("SNeRG Rig")
-    camera = bpy.data.objects.new("SNeRG Rig", data)
-    try:
-        yield camera
-    finally:
-        bpy.data.objects.remove(camera)
-        bpy.data.cameras.remove(data)
 
 
 def box_of(scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -1,41 +1,35 @@
-"""Rendering a dataset from a Blender scene: views on transparent film, in sRGB without a view transform."""
+"""Rendering a dataset from a Blender scene: views on transparent film, each with the pose that it was rendered from."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import shutil
+import tempfile
 import warnings
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import bpy
+import numpy as np
 
-from ..core.data.dataset import DatasetOptions
 from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
 from ..core.io.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
-from ..core.io.images import read_size
+from ..core.io.images import read_image, read_size
 from ..core.progress import Progress, silent
-from .bridge import camera_from_blender, set_camera, temporary_camera
+from .bridge import set_camera
+from .capture_scene import CaptureSettings, capture_scene, colour_settings, layer_warning
+from .render_evaluation import render, temporary_camera
+from .shots import Shot, camera_of, evaluated_shots, frame_of, listed
+from .view_check import mismatch, why_clear
 
-Shot: TypeAlias = bpy.types.Object | Camera
 TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # PNG chunks that hold texts and times
 RENDERING = "rendering.json"  # in an unfinished dataset: its `rendering_key`
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """test_every: every n-th view is held out for testing; 0 holds none out."""
-
-    test_every: int = DatasetOptions.holdout
 
 
 def render_dataset(
@@ -49,9 +43,11 @@ def render_dataset(
 ) -> dict[str, Any]:
     """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json.
 
-    shots: camera objects, or core cameras with the scene's resolution. box: recorded as the dataset's box. resume: see `render_steps`.
-    Returns {"train", "test": number of views, "width", "height": pixels}, and "kept": views reused from an earlier run, if any.
-    Raises SnergError where a shot cannot be rendered, and Cancelled where `progress` does. Changes no setting of the scene.
+    shots: camera objects, such at frames, or core cameras. box: recorded as the dataset's box. resume: see `render_steps`.
+    Returns {"train", "test": number of views, "width", "height": pixels}, and where there are any "kept": views reused from an earlier
+    run, "warnings": sentences about what the dataset shows otherwise than the artist may expect.
+    Raises SnergError where a shot cannot be rendered or no view shows anything, and Cancelled where `progress` does. Changes no setting
+    of the scene.
     """
     steps = render_steps(scene, shots, folder, settings, box, resume)
     try:
@@ -79,8 +75,8 @@ def render_steps(
     the same; else it starts again.
     """
     settings = settings or CaptureSettings()
-    cameras = core_cameras(scene, shots)
-    splits = split_names(len(shots), settings.test_every)
+    cameras, warnings = evaluated_shots(scene, shots)
+    splits = shot_splits(shots, settings)
     check_replaceable(folder)
     part, key = unfinished(folder), rendering_key(scene, cameras, settings)
     if not resume or read_rendering(part) != key:
@@ -89,15 +85,44 @@ def render_steps(
     for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
         if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
-            recorded = render_file(scene, shot, part / f"{splits[index]}.png", camera)
+            recorded = render_file(scene, frame_of(shot), part / f"{splits[index]}.png", camera, settings)
             write_splits(part, cameras, splits, box, recorded)
     if kept == len(shots):  # the run before was stopped between its last view and its end
-        with capture_scene(scene) as copy:
+        with capture_scene(scene, settings) as copy:
             write_splits(part, cameras, splits, box, colour_settings(copy))
+    warnings += [layer_warning(scene, settings.view_layer), *checked(scene, shots, cameras, [part / f"{n}.png" for n in splits], settings)]
     complete(part, folder, splits)
     held_out, first = sum(name.startswith("test") for name in splits), cameras[0]
-    counts = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
-    return {**counts, "kept": kept} if kept else counts
+    counts: dict[str, Any] = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
+    said = [sentence for sentence in warnings if sentence]
+    return counts | ({"kept": kept} if kept else {}) | ({"warnings": said} if said else {})
+
+
+def checked(
+    scene: bpy.types.Scene, shots: Sequence[Shot], cameras: Sequence[Camera], pictures: Sequence[Path], settings: CaptureSettings
+) -> list[str]:
+    """Sentences about views that show nothing, and about poses that do not fit the pictures. Raises SnergError where none shows anything.
+
+    The unfinished dataset is then deleted, so that its empty views are not kept for the next rendering.
+    """
+    alphas = [np.asarray(read_image(path))[..., 3] for path in pictures]
+    clear = [camera.name for camera, alpha in zip(cameras, alphas, strict=True) if not alpha.any()]
+    if len(clear) == len(cameras):
+        shutil.rmtree(pictures[0].parent.parent, ignore_errors=True)
+        raise SnergError(f"Every picture is empty: {why_clear(scene, cameras, frame_of(shots[0]), settings)}.")
+    said = [f"{len(clear)} of {len(cameras)} pictures show nothing: {listed(clear)}."] if clear else []
+    return [*said, mismatch(scene, [frame_of(shot) for shot in shots], cameras, alphas, settings)]
+
+
+def shot_splits(shots: Sequence[Shot], settings: CaptureSettings) -> list[str]:
+    """`split_names` of the shots: by their cameras where the settings name some for testing. Raises SnergError where none is left."""
+    if not settings.test_cameras:
+        return split_names(len(shots), settings.test_every)
+    names = [camera.name_full if (camera := camera_of(shot)) is not None else "" for shot in shots]
+    test = [name in settings.test_cameras for name in names]
+    if all(test):
+        raise SnergError("All cameras are test cameras; choose some that are not in the collection of the test cameras.")
+    return numbered(test)
 
 
 def start_unfinished(part: Path, key: dict[str, Any]) -> None:
@@ -133,7 +158,7 @@ def rendering_key(scene: bpy.types.Scene, cameras: Sequence[Camera], settings: C
     """{"views": their number, "key": a hash of the cameras, the frame and the render settings}. Objects and materials are not in it."""
     parts = (scene.render, scene.view_settings, scene.display_settings, *(getattr(scene, name, None) for name in ("cycles", "eevee")))
     poses = [[camera.name, *intrinsics_json(camera).items(), camera.camera_to_world.tolist()] for camera in cameras]
-    value = [settings.test_every, scene.name, scene.frame_current, scene.frame_subframe, poses, [rna_settings(part) for part in parts]]
+    value = [vars(settings), scene.name, scene.frame_current, scene.frame_subframe, poses, [rna_settings(part) for part in parts]]
     key = hashlib.sha256(json.dumps(value, default=str).encode()).hexdigest()
     return {"views": len(cameras), "key": key}
 
@@ -161,18 +186,21 @@ def read_rendering(part: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def render_file(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """`render_view` into a PNG without text chunks; the file is complete or absent. Raises SnergError also where it cannot be written."""
-    beside = path.parent / f".{path.name}.part"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        recorded = render_view(scene, shot, beside, camera)
-        write_bytes(path, strip_text_chunks(beside.read_bytes()))
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+def render_file(
+    scene: bpy.types.Scene, frame: int | None, path: Path, camera: Camera, settings: CaptureSettings | None = None
+) -> dict[str, Any]:
+    """`render_view` into a PNG without text chunks; the file is complete or absent. Raises SnergError also where it cannot be written.
+
+    Blender writes to a temporary folder: a path of the artist's may hold braces, which Blender fills in, or other signs that it knows.
+    """
+    with tempfile.TemporaryDirectory(prefix="snerg-") as room:
+        beside = Path(room) / "view.png"
+        recorded = render_view(scene, frame, beside, camera, settings)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(path, strip_text_chunks(beside.read_bytes()))
+        except OSError as error:
+            raise cannot_write(path, error) from error
     return recorded
 
 
@@ -207,10 +235,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 def core_cameras(scene: bpy.types.Scene, shots: Sequence[Shot]) -> list[Camera]:
     """The shots as core cameras. Raises SnergError where there are none, or one cannot be used."""
-    if not shots:
-        raise SnergError("There is no camera to render from; add cameras to the scene, select some, or use the rig.")
-    depsgraph = evaluated(scene)
-    return [shot if isinstance(shot, Camera) else camera_from_blender(shot, scene, depsgraph) for shot in shots]
+    return evaluated_shots(scene, shots)[0]
 
 
 def evaluated(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
@@ -224,30 +249,37 @@ def evaluated(scene: bpy.types.Scene) -> bpy.types.Depsgraph:
 
 def split_names(count: int, test_every: int) -> list[str]:
     """'train/r_0', 'test/r_0', ... for each of `count` views: every `test_every`-th is a test view."""
+    return numbered([test_every > 1 and (index + 1) % test_every == 0 for index in range(count)])
+
+
+def numbered(test: Sequence[bool]) -> list[str]:
+    """'train/r_0', 'test/r_0', ... for each view. test: whether it is a test view."""
     counts = {"train": 0, "test": 0}
     names = []
-    for index in range(count):
-        split = "test" if test_every > 1 and (index + 1) % test_every == 0 else "train"
+    for held_out in test:
+        split = "test" if held_out else "train"
         names.append(f"{split}/r_{counts[split]}")
         counts[split] += 1
     return names
 
 
-def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """Render one view to a PNG with straight alpha, and return its `colour_settings`.
+def render_view(
+    scene: bpy.types.Scene, frame: int | None, path: Path, camera: Camera, settings: CaptureSettings | None = None
+) -> dict[str, Any]:
+    """Render one view to a PNG with straight alpha, and return its `colour_settings`. frame: None for the scene's own.
 
-    camera: of the shot. Raises SnergError where Blender wrote no image, or one that does not have the camera's size.
+    A pinhole camera of its own stands where `camera` does, so that the picture and the pose are one whatever moves the artist's camera
+    while Blender renders. Raises SnergError where Blender wrote no image, or one that does not have the camera's size.
     """
-    with capture_scene(scene) as copy, temporary_camera() as stand_in:
-        copy.render.filepath = str(path)
-        if isinstance(shot, Camera):
-            copy.collection.objects.link(stand_in)
-            set_camera(stand_in, shot, copy)
-            copy.camera = stand_in
-        else:
-            copy.camera = shot
+    with capture_scene(scene, settings) as copy, temporary_camera() as stand_in:
+        copy.render.filepath = escaped(path)
+        if frame is not None:
+            copy.frame_current, copy.frame_subframe = frame, 0.0
+        copy.collection.objects.link(stand_in)
+        set_camera(stand_in, camera, copy)
+        copy.camera = stand_in
         try:
-            bpy.ops.render.render(write_still=True, scene=copy.name)
+            render(copy, write_still=True)
         except RuntimeError as error:  # the error report of a Blender operator
             why = str(error).strip()
             raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error
@@ -259,63 +291,6 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) 
     return recorded
 
 
-@contextmanager
-def capture_scene(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
-    """A linked copy of the scene with the settings for rendering datasets, deleted at the end.
-
-    Film transparent, standard view transform, no dither, compositing, motion blur or border: each would change the colours or the alpha
-    (hard cases 7, 8). The artist's own scene keeps its settings, whatever happens.
-    """
-    copy, camera = scene.copy(), scene.camera
-    try:
-        render, image = copy.render, copy.render.image_settings
-        copy.timeline_markers.clear()  # markers can bind another camera to the frame
-        render.film_transparent = True
-        render.use_border = render.use_multiview = render.use_stamp = False
-        render.use_compositing = render.use_sequencer = render.use_motion_blur = False
-        render.dither_intensity = 0.0
-        render.use_file_extension, render.use_overwrite, render.use_placeholder = False, True, False
-        if hasattr(image, "media_type"):
-            image.media_type = "IMAGE"
-        image.file_format, image.color_mode, image.color_depth = "PNG", "RGBA", "8"
-        image.color_management = "FOLLOW_SCENE"
-        image.compression = 50
-        _standard_view(copy)
-        yield copy
-    finally:
-        scene.camera = camera  # rendering sets every scene to its frame, where a marker may have chosen another camera
-        bpy.data.scenes.remove(copy)
-
-
-def _standard_view(scene: bpy.types.Scene) -> None:
-    """Set the view transform Standard for sRGB. Raises SnergError where the colour configuration has none."""
-    view = scene.view_settings
-    try:
-        scene.display_settings.display_device = "sRGB"
-        view.view_transform = "Standard"
-        view.look = "None"
-    except TypeError as error:  # a custom OCIO configuration without these names
-        raise SnergError(
-            "The colour configuration has no view transform 'Standard' for sRGB; start Blender without the OCIO variable."
-        ) from error
-    view.exposure, view.gamma = 0.0, 1.0
-    view.use_curve_mapping = False
-    for name in ("use_white_balance", "use_hdr_view"):
-        if hasattr(view, name):
-            setattr(view, name, False)
-
-
-def colour_settings(scene: bpy.types.Scene) -> dict[str, Any]:
-    """The settings that decide a render's colours, as recorded in the dataset. JSON values."""
-    view = scene.view_settings
-    return {
-        "engine": scene.render.engine,
-        "blender": bpy.app.version_string,
-        "display_device": scene.display_settings.display_device,
-        "view_transform": view.view_transform,
-        "look": view.look,
-        "exposure": view.exposure,
-        "gamma": view.gamma,
-        "dither": scene.render.dither_intensity,
-        "film_transparent": scene.render.film_transparent,
-    }
+def escaped(path: Path) -> str:
+    """A path in which Blender fills in nothing: it reads braces as a template from 4.5 on."""
+    return str(path).replace("{", "{{").replace("}", "}}") if bpy.app.version >= (4, 5, 0) else str(path)

@@ -17,6 +17,7 @@ from ..core.progress import Progress
 from ..core.rendering.render import render_scene
 from ..core.scene.scene import Scene
 from .bridge import camera_from_blender, resolution
+from .render_evaluation import hand_over
 from .scene_object import is_snerg_object, placed_camera, snerg_objects, source_of
 from .viewport.loading import cached
 
@@ -51,6 +52,8 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One view layer of one frame."""
+        if hand_over(depsgraph):
+            return
         try:
             self._render(depsgraph)
         except Cancelled:

@@ -145,7 +145,8 @@ def assign_project(scene: bpy.types.Scene) -> None:
         occupied = bool(settings.folder) and absolute_path(settings.folder, scene) != folder and folder.parent != unsaved_root()
         if not settings.project_id or occupied:
             settings.project_id = str(cached_json(folder / OWNER).get("id") or uuid.uuid4().hex)
-        if folder.parent != unsaved_root():
+        chosen = bool(settings.folder) and absolute_path(settings.folder, scene) == folder  # then it stays as the artist wrote it
+        if folder.parent != unsaved_root() and not chosen:
             settings.folder = blend_path(folder)
     elif not settings.project_id or (copied and not (unsaved_folder(scene) / OWNER).is_file()):
         settings.project_id = uuid.uuid4().hex

@@ -55,6 +55,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         items=[
             ("ALL", "All", "Every camera of the scene"),
             ("SELECTED", "Selected", "The selected cameras"),
+            ("ACTIVE", "Active", "The active camera; over frames, also the cameras that markers choose"),
             ("RIG", "Rig", "Cameras spread evenly around the box, with the scene's resolution"),
         ],
         default="ALL",
@@ -65,6 +66,30 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         default=DatasetOptions.holdout,
         min=0,
         soft_max=20,
+    )
+    over_frames: BoolProperty(
+        name="Over Frames",
+        description="Render each camera at frames of the scene's range, for cameras that move. What else moves is blurred in the field",
+        default=False,
+    )
+    frame_step: IntProperty(name="Step", description="Render every n-th frame", default=1, min=1, soft_max=50)
+    test_cameras: PointerProperty(
+        name="Test Cameras",
+        description="A collection: the views of its cameras measure the quality, and all others are trained on. "
+        "Empty: Hold Out Every decides",
+        type=bpy.types.Collection,
+    )
+    view_layer: StringProperty(
+        name="View Layer", description="The view layer to render, and to fit the box to. Empty: the scene's first", default=""
+    )
+    look: EnumProperty(
+        name="Look",
+        description="The colours of the dataset, and of all that is trained on it",
+        items=[
+            ("STANDARD", "Standard", "sRGB without a view transform, look or exposure: for colours that other tools and web pages share"),
+            ("SCENE", "Scene's", "The scene's own view transform, look, exposure and gamma: as F12 shows it"),
+        ],
+        default="STANDARD",
     )
     downscale: IntProperty(
         name="Downscale",

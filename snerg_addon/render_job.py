@@ -19,15 +19,17 @@ from ..core.jobs.runner import LAUNCHER, Job, job_environment
 from ..core.progress import Progress
 from ..launcher import RENDER
 from .bridge import resolution
-from .capture import CaptureSettings, Shot, render_dataset
+from .capture import render_dataset
+from .capture_scene import CaptureSettings
+from .shots import Moment, Shot, camera_of, frame_of
 
 COPY, ORDER = "scene.blend", "render.json"
 
 
 def render_job(
-    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, test_every: int, box: Box | None, resume: bool
+    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, settings: CaptureSettings, box: Box | None, resume: bool
 ) -> Job:
-    """A job that renders what `capture.render_dataset` would render now. shots: camera objects of the scene, or a rig round the box.
+    """A job that renders what `capture.render_dataset` would render now. shots: cameras of the scene, or a rig round the box.
 
     `begin` saves a copy of the file with all unsaved changes, and of painted images that were not saved. It raises SnergError where
     these cannot be written.
@@ -35,7 +37,7 @@ def render_job(
     order: dict[str, Any] = {
         "scene": scene.name,
         "folder": str(folder),
-        "test_every": test_every,
+        "settings": vars(settings),
         "goes_on": resume,
         "box": box.to_json() if box else None,
         "scripts": not bpy.app.autoexec_fail,  # whether scripts run in this file now
@@ -43,7 +45,7 @@ def render_job(
     if isinstance(shots, RigSettings):
         order["rig"] = vars(shots)
     else:
-        order["cameras"] = [shot.name_full for shot in shots if isinstance(shot, bpy.types.Object)]
+        order["cameras"] = [(camera.name_full, frame_of(shot)) for shot in shots if (camera := camera_of(shot)) is not None]
 
     def prepare(job: Path) -> None:
         source = job / folders.INPUT
@@ -108,7 +110,7 @@ def render(progress: Progress) -> dict[str, Any]:
         load_painted(source, order["images"])
         scene = bpy.data.scenes[order["scene"]]
         box = Box.from_json(order["box"]) if order["box"] else None
-        settings = CaptureSettings(order["test_every"])
+        settings = CaptureSettings(**{**order["settings"], "test_cameras": tuple(order["settings"]["test_cameras"])})
         return render_dataset(scene, ordered_shots(scene, order, box), Path(order["folder"]), settings, box, progress, order["goes_on"])
     finally:
         shutil.rmtree(source, ignore_errors=True)
@@ -119,7 +121,7 @@ def ordered_shots(scene: bpy.types.Scene, order: dict[str, Any], box: Box | None
     if "rig" in order and box is not None:
         return list(rig_cameras(box, RigSettings(**order["rig"]), *resolution(scene)))
     named = {thing.name_full: thing for thing in scene.objects}
-    return [named[name] for name in order["cameras"]]
+    return [named[name] if frame is None else Moment(named[name], frame) for name, frame in order["cameras"]]
 
 
 def load_painted(folder: Path, images: dict[str, str]) -> None:

@@ -48,7 +48,38 @@ def draw_cameras(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Sce
         column.prop(settings, "rig_distance")
         if box_of(scene) is None:
             column.label(text="The rig needs a box", icon="INFO")
-    column.prop(settings, "test_every")
+    else:
+        row = column.row(align=True)
+        row.prop(settings, "over_frames")
+        if settings.over_frames:
+            row.prop(settings, "frame_step")
+        column.prop(settings, "test_cameras")
+    if settings.cameras == "RIG" or settings.test_cameras is None:
+        column.prop(settings, "test_every")
+    draw_what(layout, settings, scene)
+
+
+def draw_what(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
+    """Which view layer is rendered, and in which look."""
+    column = layout.column(align=True)
+    if len(scene.view_layers) > 1 or settings.view_layer:
+        column.prop_search(settings, "view_layer", scene, "view_layers")
+    column.prop(settings, "look")
+    column.label(text=look_of(settings, scene), icon="COLOR")
+
+
+def look_of(settings: Any, scene: bpy.types.Scene) -> str:
+    """'Standard, as on web pages' or 'AgX, Punchy, exposure 1.5': the colours of the dataset."""
+    view = scene.view_settings
+    if settings.look == "STANDARD":
+        same = view.view_transform == "Standard" and view.look == "None" and (view.exposure, view.gamma) == (0, 1)
+        return "Colours as F12 shows them" if same else f"Colours in Standard; F12 shows {view.view_transform}"
+    parts = [
+        view.view_transform,
+        *([view.look] if view.look != "None" else []),
+        *([f"exposure {view.exposure:g}"] if view.exposure else []),
+    ]
+    return f"Colours in {', '.join(parts)}"
 
 
 def draw_render(layout: bpy.types.UILayout, project: Project) -> None:
@@ -69,7 +100,13 @@ def camera_count(context: bpy.types.Context) -> str:
     settings = context.scene.snerg
     if settings.cameras == "RIG":
         count = settings.rig_count
+    elif settings.cameras == "ACTIVE":
+        count = int(context.scene.camera is not None)
     else:
-        cameras = [thing for thing in context.scene.objects if thing.type == "CAMERA"]
-        count = len(cameras) if settings.cameras == "ALL" else sum(camera.select_get() for camera in cameras)
-    return "1 camera" if count == 1 else f"{count} cameras"
+        there = [thing for thing in context.scene.objects if thing.type == "CAMERA"]
+        count = len(there) if settings.cameras == "ALL" else sum(camera.select_get() for camera in there)
+    cameras = "1 camera" if count == 1 else f"{count} cameras"
+    if settings.cameras == "RIG" or not settings.over_frames:
+        return cameras
+    frames = len(range(context.scene.frame_start, context.scene.frame_end + 1, settings.frame_step))
+    return f"{cameras}, {frames} frames"

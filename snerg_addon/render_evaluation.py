@@ -1,0 +1,157 @@
+"""The evaluated scene as a render sees it, read without rendering a picture.
+
+The viewport's evaluation lacks what is hidden there, has the viewport's modifiers, and keeps changes without a key. This one is made
+by Blender's render pipeline, with the engine of engine.py, which hands the dependency graph over instead of rendering it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import bpy
+
+from ..core.errors import SnergError
+from ..core.geometry.box import Box
+from ..core.geometry.camera import Camera
+from .bridge import box_from_blender, camera_from_blender
+
+T = TypeVar("T")
+ENGINE = "SNERG"
+_readers: dict[str, Callable[[bpy.types.Depsgraph], None]] = {}  # by the name of the scene that is to be read
+
+
+def hand_over(depsgraph: bpy.types.Depsgraph) -> bool:
+    """Give a dependency graph to the `evaluate_render` that waits for it. False: none does, it is to be rendered."""
+    reader = _readers.get(depsgraph.scene.name)
+    if reader is not None:
+        reader(depsgraph)
+    return reader is not None
+
+
+def evaluate_render(
+    scene: bpy.types.Scene,
+    read: Callable[[bpy.types.Depsgraph], T],
+    needed: Sequence[bpy.types.Object] = (),
+    frame: int | None = None,
+    layer: str = "",
+) -> T:
+    """What `read` returns for the dependency graph (mode RENDER) of a view layer.
+
+    needed: objects that are evaluated even if they are hidden or excluded. frame: by default the scene's own, with its subframe.
+    layer: name of the view layer; empty for the first.
+    The scene and its objects keep changes without a key. Raises SnergError where Blender cannot evaluate it, and what `read` raises.
+    """
+    found: list[T] = []
+    failed: list[Exception] = []
+
+    def reader(depsgraph: bpy.types.Depsgraph) -> None:
+        try:
+            found.append(read(depsgraph))
+        except Exception as error:  # it would be lost in Blender's render pipeline
+            failed.append(error)
+
+    with linked_copy(scene, frame) as copy, temporary_camera() as camera:
+        keep_layer(copy, layer)
+        depend_on(camera, needed)
+        copy.collection.objects.link(camera)
+        copy.camera, copy.render.engine = camera, ENGINE
+        copy.render.use_compositing = copy.render.use_sequencer = copy.render.use_multiview = copy.render.use_motion_blur = False
+        copy.render.use_border = False
+        _readers[copy.name] = reader
+        try:
+            render(copy)
+        except RuntimeError as error:
+            raise SnergError(
+                f"Blender could not evaluate the scene {scene.name!r} ({str(error).strip()}); render it to see why."
+            ) from error
+        finally:
+            del _readers[copy.name]
+    if failed:
+        raise failed[0]
+    if not found:
+        raise SnergError(f"Blender did not evaluate the scene {scene.name!r}; render it once by hand to see why.")
+    return found[0]
+
+
+def evaluated_cameras(scene: bpy.types.Scene, cameras: Sequence[bpy.types.Object], frame: int | None = None) -> list[Camera]:
+    """The cameras as a render of the scene at a frame uses them. Raises SnergError, see `camera_from_blender`."""
+    if not cameras:
+        return []
+
+    def read(depsgraph: bpy.types.Depsgraph) -> list[Camera]:
+        return [camera_from_blender(camera, scene, depsgraph) for camera in cameras]
+
+    return evaluate_render(scene, read, cameras, frame)
+
+
+def evaluated_box(scene: bpy.types.Scene, box: bpy.types.Object | None) -> Box:
+    """The box at the scene's frame, hidden or not. Raises SnergError, see `box_from_blender`."""
+    if box is None or box.type != "EMPTY":
+        return box_from_blender(box)
+    return evaluate_render(scene, lambda depsgraph: box_from_blender(box, depsgraph), [box])
+
+
+@contextmanager
+def linked_copy(scene: bpy.types.Scene, frame: int | None = None) -> Iterator[bpy.types.Scene]:
+    """A linked copy of the scene with one view layer and without camera markers, at `frame` (default: the scene's own)."""
+    copy, camera = scene.copy(), scene.camera
+    try:
+        copy.timeline_markers.clear()  # markers can bind another camera to the frame
+        if frame is not None:
+            copy.frame_current, copy.frame_subframe = frame, 0.0
+        yield copy
+    finally:
+        scene.camera = camera  # rendering sets every scene to its frame, where a marker may have chosen another camera
+        bpy.data.scenes.remove(copy)
+
+
+def keep_layer(scene: bpy.types.Scene, name: str) -> None:
+    """Remove all view layers but one. name: empty for the first. Raises SnergError where there is no such layer."""
+    kept = scene.view_layers.get(name) if name else scene.view_layers[0]
+    if kept is None:
+        there = ", ".join(layer.name for layer in scene.view_layers)
+        raise SnergError(f"The scene has no view layer {name!r}; choose one of its own: {there}.")
+    for layer in [layer for layer in scene.view_layers if layer != kept]:
+        scene.view_layers.remove(layer)
+    scene.view_layers[0].use = True
+
+
+@contextmanager
+def temporary_camera() -> Iterator[bpy.types.Object]:
+    """A camera object in no scene, deleted at the end."""
+    data = bpy.data.cameras.new("SNeRG Rig")
+    camera = bpy.data.objects.new("SNeRG Rig", data)
+    try:
+        yield camera
+    finally:
+        bpy.data.objects.remove(camera)
+        bpy.data.cameras.remove(data)
+
+
+def depend_on(camera: bpy.types.Object, needed: Sequence[bpy.types.Object]) -> None:
+    """Make a camera depend on the poses of objects and on the settings of cameras, so that a render evaluates them first."""
+    for index, thing in enumerate(needed):
+        constraint = camera.constraints.new("COPY_TRANSFORMS")
+        constraint.target, constraint.influence = thing, 0.0
+        if thing.type == "CAMERA":
+            name = f"lens {index}"
+            camera[name] = 0.0
+            driver = camera.driver_add(f'["{name}"]').driver
+            driver.type = "SUM"
+            target = driver.variables.new().targets[0]
+            target.id_type, target.id, target.data_path = "CAMERA", thing.data, "lens"
+
+
+def render(scene: bpy.types.Scene, **options: Any) -> None:
+    """Render a scene that no window shows. Raises RuntimeError.
+
+    Afterwards Blender evaluates the context's scene as for a new frame, which undoes changes without a key: that is an empty one here.
+    """
+    empty = bpy.data.scenes.new("SNeRG Empty")
+    try:
+        with bpy.context.temp_override(scene=empty, view_layer=empty.view_layers[0]):
+            bpy.ops.render.render(scene=scene.name, **options)
+    finally:
+        bpy.data.scenes.remove(empty)

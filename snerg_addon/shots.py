@@ -1,0 +1,162 @@
+"""The views of a dataset: cameras, cameras at frames, and where all of these are when they are rendered."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import bpy
+import numpy as np
+
+from ..core.errors import SnergError
+from ..core.geometry.camera import Camera
+from .bridge import camera_from_blender
+from .render_evaluation import evaluate_render
+
+SHIFT = 1e-5  # of an object between two frames, relative to its own size, that counts as movement; float32 rounding gives less
+NAMED = 3  # objects that a sentence names at most
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A camera object at a frame."""
+
+    camera: bpy.types.Object
+    frame: int
+
+
+Shot: TypeAlias = bpy.types.Object | Moment | Camera
+
+
+def camera_of(shot: Shot) -> bpy.types.Object | None:
+    """The camera object of a shot; None for a core camera."""
+    return shot.camera if isinstance(shot, Moment) else None if isinstance(shot, Camera) else shot
+
+
+def frame_of(shot: Shot) -> int | None:
+    """The frame of a shot; None for the scene's own."""
+    return shot.frame if isinstance(shot, Moment) else None
+
+
+def evaluated_shots(scene: bpy.types.Scene, shots: Sequence[Shot]) -> tuple[list[Camera], list[str]]:
+    """(the shots as core cameras, where a render has them; sentences about what a dataset will not show as the artist may expect).
+
+    The scene is evaluated once for each frame. Raises SnergError where there are no shots, or one is no camera that can be used.
+    """
+    if not shots:
+        raise SnergError("There is no camera to render from; add cameras to the scene, select some, or use the rig.")
+    cameras: dict[int, Camera] = {index: shot for index, shot in enumerate(shots) if isinstance(shot, Camera)}
+    places: list[dict[str, np.ndarray]] = []
+    blurred: set[str] = set()
+    for frame in dict.fromkeys(frame_of(shot) for shot in shots if not isinstance(shot, Camera)):
+        some = {index: thing for index, shot in enumerate(shots) if frame_of(shot) == frame and (thing := camera_of(shot)) is not None}
+
+        def read(depsgraph: bpy.types.Depsgraph, some: dict[int, bpy.types.Object] = some, frame: int | None = frame) -> None:
+            for index, thing in some.items():
+                camera = camera_from_blender(thing, depsgraph.scene_eval, depsgraph)
+                cameras[index] = camera if frame is None else replace(camera, name=f"{camera.name}, frame {frame}")
+                if thing.evaluated_get(depsgraph).data.dof.use_dof:
+                    blurred.add(thing.name)
+            places.append(places_in(depsgraph) if frame is not None else {})
+
+        evaluate_render(scene, read, list(dict.fromkeys(some.values())), frame)
+    said = [blur_warning(sorted(blurred)), movement_warning(places), simulation_warning(scene)]
+    return [cameras[index] for index in range(len(shots))], [sentence for sentence in said if sentence]
+
+
+def blur_warning(names: Sequence[str]) -> str:
+    """A sentence about cameras with depth of field; '' where there are none."""
+    if not names:
+        return ""
+    return f"The dataset is rendered without the depth of field of {listed(names)}: a field is trained on sharp pictures."
+
+
+def movement_warning(places: Sequence[dict[str, np.ndarray]]) -> str:
+    """A sentence about objects that are not the same in all of the `places_in` frames; '' where all are."""
+    moved = {name for later in places[1:] for name in places[0].keys() | later.keys() if not same(places[0].get(name), later.get(name))}
+    if not moved:
+        return ""
+    verb = "moves or changes" if len(moved) == 1 else "move or change"
+    return f"{listed(sorted(moved))} {verb} while the frames pass; a field shows one moment, so render one frame or hold them still."
+
+
+def same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    """Whether an object is in the same place. None: it is not there."""
+    if one is None or other is None:
+        return one is other
+    scale = max(float(np.ptp(one[:-1], axis=0).max()), 1e-6) if len(one) > 1 else 1.0
+    return one.shape == other.shape and bool(np.abs(one - other).max() <= SHIFT * max(scale, float(np.abs(one).max())))
+
+
+def places_in(depsgraph: bpy.types.Depsgraph) -> dict[str, np.ndarray]:
+    """For each object that renders, and each light, points [N, 3] that tell where it is and what shape it has, in world units."""
+    found: dict[str, list[np.ndarray]] = {}
+    for instance in depsgraph.object_instances:
+        thing = instance.object
+        if thing.type in ("CAMERA", "EMPTY", "ARMATURE", "LATTICE", "SPEAKER") or not instance.show_self:
+            continue
+        name = instance.parent.name if instance.is_instance and instance.parent else thing.name
+        matrix = np.array(instance.matrix_world, np.float64)
+        points = np.concatenate([bounds(thing), centroid(thing)])
+        if thing.type == "LIGHT":
+            points = np.eye(4)[:, :3]
+        found.setdefault(name, []).append(points @ matrix[:3, :3].T + matrix[:3, 3])
+    return {name: np.concatenate(points) for name, points in found.items()}
+
+
+def bounds(thing: bpy.types.Object) -> np.ndarray:
+    """The corners [8, 3] of an object's bounding box, in its own space."""
+    return np.array([list(corner) for corner in thing.bound_box], np.float64)
+
+
+def centroid(thing: bpy.types.Object) -> np.ndarray:
+    """The mean [1, 3] and the mean square [1, 3] of a mesh's vertices, in its own space; [0, 3] for other objects."""
+    if thing.type != "MESH" or not len(thing.data.vertices):
+        return np.empty((0, 3))
+    points = np.empty(len(thing.data.vertices) * 3, np.float32)
+    thing.data.vertices.foreach_get("co", points)
+    points = points.reshape(-1, 3).astype(np.float64)
+    return np.stack([points.mean(axis=0), np.sqrt((points**2).mean(axis=0))])
+
+
+def simulation_warning(scene: bpy.types.Scene) -> str:
+    """A sentence about simulations without a baked cache, whose state is not saved with the file; '' where there are none."""
+    names = sorted({name for name in unbaked(scene)})
+    if not names:
+        return ""
+    return f"The dataset may show {listed(names)} in another state of simulation than the viewport does, unless it is baked; bake it first."
+
+
+def unbaked(scene: bpy.types.Scene) -> Iterator[str]:
+    """The names of what is simulated in the scene, at its frame, without a baked cache."""
+    world = scene.rigidbody_world
+    bodies = world is not None and world.enabled and world.collection and len(world.collection.objects)
+    if bodies and not world.point_cache.is_baked and scene.frame_current > world.point_cache.frame_start:
+        yield "the rigid bodies"
+    for thing in scene.objects:
+        if any(is_unbaked(modifier, scene.frame_current) for modifier in thing.modifiers):
+            yield repr(thing.name)
+
+
+def is_unbaked(modifier: Any, frame: int) -> bool:
+    """Whether a modifier simulates, past its first frame, without a baked cache."""
+    if modifier.type == "NODES":
+        simulates = any(bake.node is not None and bake.node.bl_idname == "GeometryNodeSimulationOutput" for bake in modifier.bakes)
+        return simulates and modifier.show_render and frame > 1 and not has_files(bpy.path.abspath(modifier.bake_directory))
+    cache = getattr(getattr(modifier, "particle_system", modifier), "point_cache", None)
+    return cache is not None and modifier.show_render and not cache.is_baked and frame > cache.frame_start
+
+
+def has_files(folder: str) -> bool:
+    """Whether a path is a folder with anything in it."""
+    return bool(folder) and os.path.isdir(folder) and bool(os.listdir(folder))
+
+
+def listed(names: Sequence[str]) -> str:
+    """'A', 'A and B', 'A, B, C and 5 more'."""
+    shown = [name if name.startswith(("'", "the ")) else repr(name) for name in names[:NAMED]]
+    if len(names) > NAMED:
+        return f"{', '.join(shown)} and {len(names) - NAMED} more"
+    return " and ".join([", ".join(shown[:-1]), shown[-1]]) if len(shown) > 1 else shown[0]
