@@ -16,6 +16,7 @@ from ..core.geometry.camera import Camera
 from ..core.io.images import to_uint8
 
 SENSOR = 36.0  # mm, the sensor width of the cameras that are created: Blender's default
+MAX_SHEAR = 1e-3  # largest cosine between two axes of a camera; rounding of Blender's float32 matrices gives less
 PREVIEW = "SNeRG Preview"
 STUDY = "SNeRG Study"
 BOX = "SNeRG Box"
@@ -35,7 +36,7 @@ def camera_from_blender(
     """The core camera with the projection that Blender computes, for every sensor fit, shift and pixel aspect (hard cases 1, 2, 3).
 
     size: (width, height) in pixels, by default the scene's. Raises SnergError where the camera is neither perspective nor orthographic,
-    or its pose is not a rotation and a translation.
+    or its pose is sheared or mirrored.
     """
     if camera.type != "CAMERA":
         raise SnergError(f"{camera.name!r} is not a camera; choose a camera.")
@@ -44,6 +45,9 @@ def camera_from_blender(
         raise SnergError(f"The camera {camera.name!r} is {kind.lower()}; only perspective and orthographic cameras can be used.")
     width, height = size or resolution(scene)
     evaluated = camera.evaluated_get(depsgraph)
+    pose = np.array(evaluated.matrix_world, np.float64)
+    if shear(pose) > MAX_SHEAR:
+        raise SnergError(f"The camera {camera.name!r} is sheared by a parent that is scaled unevenly; apply the parent's scale, or clear it.")
     projection = np.array(
         evaluated.calc_matrix_camera(
             depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
@@ -57,12 +61,18 @@ def camera_from_blender(
         height=height,
         focal=(float(projection[0, 0]) * width / 2, float(projection[1, 1]) * height / 2),
         centre=(width / 2 * (1 + float(offset_x)), height / 2 * (1 - float(offset_y))),
-        camera_to_world=np.array(evaluated.matrix_world, np.float64),
+        camera_to_world=pose,
         projection="perspective" if kind == "PERSP" else "orthographic",
         name=camera.name,
         near=float(evaluated.data.clip_start),
         far=float(evaluated.data.clip_end),
     )
+
+
+def shear(pose: np.ndarray) -> float:
+    """The largest cosine between two axes of a matrix [4, 4], 0 for axes without length."""
+    axes = pose[:3, :3] / np.maximum(np.linalg.norm(pose[:3, :3], axis=0), 1e-12)
+    return float(np.abs(axes.T @ axes - np.diag(np.diag(axes.T @ axes))).max())
 
 
 def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene | None = None) -> None:

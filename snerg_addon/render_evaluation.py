@@ -150,6 +150,7 @@ def render(scene: bpy.types.Scene, **options: Any) -> None:
     Afterwards Blender evaluates the context's scene as for a new frame, which undoes changes without a key: that is an empty one here.
     """
     empty = bpy.data.scenes.new("SNeRG Empty")
+    empty.frame_current = scene.frame_current  # the operator renders the frame of the context's scene, with the other's subframe
     try:
         with bpy.context.temp_override(scene=empty, view_layer=empty.view_layers[0]):
             bpy.ops.render.render(scene=scene.name, **options)
