@@ -47,7 +47,7 @@ def camera_from_blender(
     evaluated = camera.evaluated_get(depsgraph)
     pose = np.array(evaluated.matrix_world, np.float64)
     if shear(pose) > MAX_SHEAR:
-        raise SnergError(f"The camera {camera.name!r} is sheared by a parent that is scaled unevenly; apply the parent's scale, or clear it.")
+        raise SnergError(f"The camera {camera.name!r} is sheared by a parent that is scaled unevenly; apply the parent's scale.")
     projection = np.array(
         evaluated.calc_matrix_camera(
             depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y

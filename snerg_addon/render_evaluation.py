@@ -18,8 +18,28 @@ from ..core.geometry.camera import Camera
 from .bridge import box_from_blender, camera_from_blender
 
 T = TypeVar("T")
-ENGINE = "SNERG"
 _readers: dict[str, Callable[[bpy.types.Depsgraph], None]] = {}  # by the name of the scene that is to be read
+
+
+class SNERG_RE_evaluation(bpy.types.RenderEngine):
+    """Hands the dependency graph over in a process of its own, where the add-on is not registered. It renders nothing."""
+
+    bl_idname = "SNERG_EVALUATION"
+    bl_label = "SNeRG Evaluation"
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """One view layer of one frame."""
+        hand_over(depsgraph)
+
+
+def engine() -> str:
+    """The engine that hands dependency graphs over to this module: that of engine.py where it is registered."""
+    found = bpy.types.RenderEngine.bl_rna_get_subclass_py("SNERG_RE_engine")
+    if found is not None and found.__module__ == f"{__package__}.engine":
+        return "SNERG"
+    if not SNERG_RE_evaluation.is_registered:
+        bpy.utils.register_class(SNERG_RE_evaluation)
+    return SNERG_RE_evaluation.bl_idname
 
 
 def hand_over(depsgraph: bpy.types.Depsgraph) -> bool:
@@ -56,7 +76,7 @@ def evaluate_render(
         keep_layer(copy, layer)
         depend_on(camera, needed)
         copy.collection.objects.link(camera)
-        copy.camera, copy.render.engine = camera, ENGINE
+        copy.camera, copy.render.engine = camera, engine()
         copy.render.use_compositing = copy.render.use_sequencer = copy.render.use_multiview = copy.render.use_motion_blur = False
         copy.render.use_border = False
         _readers[copy.name] = reader
