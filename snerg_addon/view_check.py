@@ -21,7 +21,9 @@ CHECKED = 96  # pixels of the longer side of the depth images that are compared
 SEEN_THROUGH = 0.02  # relative depth by which a point lies before what another view shows there, so that this view should show the point
 MISMATCH = 0.1  # share of points at which two views contradict each other; edges of exact poses give less than 0.02
 FEW = 30  # points that two views must share for a judgement
-NOTHING = 1e9  # Blender's depth where nothing is, at least
+NO_DEPTH = 1e10  # Cycles' depth where nothing is
+NOTHING = 1e9  # depths from here on are NO_DEPTH
+BEFORE_FAR = 0.999  # share of the clip end from which on a depth is nothing: EEVEE writes the clip end there
 
 
 def why_clear(scene: bpy.types.Scene, cameras: Sequence[Camera], frame: int | None, settings: CaptureSettings) -> str:
@@ -153,7 +155,9 @@ def render_depth(scene: bpy.types.Scene, frame: int | None, camera: Camera, sett
         except RuntimeError:
             return None
         depth = read_depth(path)
-    return None if depth is None or depth.shape != (small.height, small.width) else (small, depth)
+    if depth is None or depth.shape != (small.height, small.width):
+        return None
+    return small, np.where(depth > BEFORE_FAR * small.far, NO_DEPTH, depth)
 
 
 def read_depth(path: Path) -> np.ndarray | None:
