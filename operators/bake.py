@@ -37,9 +37,9 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
         """Record the new version and put it in use. Warns where the box holds nothing."""
         about = result.get("about", {})
         quality = about.get("refine", {}).get("psnr_after")
-        folder = project.version_made("scene", result["path"])
+        before, folder = project.scene, project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
-        show_scene(scene, project, folder)
+        show_scene(scene, project, folder, before)
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
         return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"

@@ -27,7 +27,7 @@ from .owner import (
     unsaved_root,
     write_owner,
 )
-from .scene_object import folder_of, snerg_objects
+from .scene_object import folder_of, own_objects, same_folders
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
 _old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
@@ -39,11 +39,6 @@ _path_before_save = ""  # of the open file, while it is being saved
 def local_scenes() -> Iterator[bpy.types.Scene]:
     """The scenes of this file that are not linked from a library."""
     return (scene for scene in bpy.data.scenes if scene.path_resolve("library") is None)
-
-
-def local_objects() -> Iterator[bpy.types.Object]:
-    """The SNeRG objects of this file that are not linked from a library."""
-    return (thing for thing in snerg_objects(bpy.data) if thing.library is None)
 
 
 @persistent
@@ -65,11 +60,12 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
                 _old_folders[scene.name], scene.snerg.folder = old, blend_path(target, start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
             _old_folders[scene.name], scene.snerg.folder = old, blend_path(absolute_path(old, scene), start)
-    for thing in local_objects():
+    for thing in own_objects():
         old, folder = thing.snerg.folder, folder_of(thing)
         moved = next((target / folder.relative_to(source) for source, target in moves.items() if folder.is_relative_to(source)), None)
         if moved is not None or (old.startswith("//") and os.path.dirname(bpy.data.filepath) != start):
-            _old_paths[thing.name], thing.snerg.folder = old, blend_path(moved or folder, start)
+            _old_paths[thing.name] = old
+            write_path(thing, blend_path(moved or folder, start))
 
 
 @persistent
@@ -82,7 +78,7 @@ def after_saving(*_unused: Any) -> None:
     _old_folders.clear()
     for name, old in _old_paths.items():
         if (copy or not _path_before_save) and name in bpy.data.objects:  # a project that moves takes its objects' paths along
-            bpy.data.objects[name].snerg.folder = old
+            write_path(bpy.data.objects[name], old)
     _old_paths.clear()
     if not copy:
         for scene in local_scenes():
@@ -90,6 +86,12 @@ def after_saving(*_unused: Any) -> None:
                 transfer_project(scene, Path(_path_before_save))
     _failed_moves.clear()
     move_saved_projects()
+
+
+def write_path(thing: bpy.types.Object, path: str) -> None:
+    """Write the path of an object's folder in another way; the folder is the same."""
+    with same_folders():
+        thing.snerg.folder = path
 
 
 def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
@@ -165,9 +167,9 @@ def move_saved_project(scene: bpy.types.Scene) -> None:
 
 def follow_move(source: Path, target: Path) -> None:
     """Make the objects that show scenes of a moved project show them where they are now."""
-    for thing in local_objects():
+    for thing in own_objects():
         if (folder := folder_of(thing)).is_relative_to(source):
-            thing.snerg.folder = blend_path(target / folder.relative_to(source))
+            write_path(thing, blend_path(target / folder.relative_to(source)))
 
 
 def orphaned_projects() -> list[Path]:
