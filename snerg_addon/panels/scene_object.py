@@ -6,9 +6,9 @@ import bpy
 
 from ...core.errors import SnergError
 from .. import packing
-from ..scene_object import is_snerg_object, problem_of, source_of
+from ..scene_object import folder_of, is_snerg_object, problem_of, source_of
 from ..viewport import draw
-from ..viewport.loading import loaded
+from ..viewport.loading import has_scene, loaded
 from .layout import draw_box, draw_sentence
 
 
@@ -31,11 +31,8 @@ class SNERG_PT_object(bpy.types.Panel):
         layout, thing = self.layout, context.object
         layout.use_property_split = True
         layout.prop(thing.snerg, "folder")
-        if packing.is_packed(thing):
-            layout.operator("snerg.unpack_scene", icon="PACKAGE")
-        else:
-            layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
         try:
+            draw_packing(layout, thing)
             entry = loaded(source_of(thing))
         except SnergError as error:
             draw_sentence(layout, str(error), "ERROR")
@@ -62,3 +59,15 @@ class SNERG_PT_object(bpy.types.Panel):
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
                 f"{draw.memory() / 2**20:.1f} MB of graphics memory in all",
             )
+
+
+def draw_packing(layout: bpy.types.UILayout, thing: bpy.types.Object) -> None:
+    """Packing and unpacking, and how a packed copy and the folder differ. Raises SnergError where the copy is damaged."""
+    folder, packed = folder_of(thing), packing.is_packed(thing)
+    if packed:
+        layout.operator("snerg.unpack_scene", icon="PACKAGE")
+    problem = packing.state_of(thing, folder)
+    if not packed or (problem and has_scene(folder)):
+        layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
+    if problem:
+        draw_sentence(layout, problem, "INFO")
