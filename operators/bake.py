@@ -23,6 +23,7 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
     bl_label = "Bake"
     bl_options = {"REGISTER"}
     step, label = "bake", "Baking"
+    changes_file = True
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:

@@ -23,6 +23,7 @@ class SNERG_OT_export_vdb(SceneObjectOperator, TaskOperator, bpy.types.Operator)
     bl_label = "Make Volume"
     bl_options = {"REGISTER"}
     step, label = "export", "Exporting the volume"
+    changes_file = True
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """The command `export-vdb`."""

@@ -18,6 +18,7 @@ class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
     bl_label = "Import Scene"
     bl_options = {"REGISTER"}
     step, label = "bake", "Importing the scene"
+    changes_file = True
     key, noun = "scene", "baked scene"
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
