@@ -135,6 +135,13 @@ def is_own(thing: bpy.types.Object) -> bool:
     return thing.library is None and thing.override_library is None
 
 
+def link_beside(child: bpy.types.Object, thing: bpy.types.Object, scene: bpy.types.Scene) -> None:
+    """Put an object into the collections of another one: those that can be changed, or else the scene's."""
+    own = [one for one in thing.users_collection if one.library is None and one.override_library is None]
+    for collection in own or [scene.collection]:
+        collection.objects.link(child)
+
+
 def folder_of(thing: bpy.types.Object) -> Path:
     """The folder of an object's scene; of a linked object, and of an override of one, relative to the file that it comes from."""
     origin = thing
