@@ -27,7 +27,7 @@ from .owner import (
     unsaved_root,
     write_owner,
 )
-from .scene_object import folder_of, own_objects, same_folders
+from .scene_object import folder_of, is_own, is_snerg_object, own_objects, same_folders
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
 _old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
@@ -113,6 +113,16 @@ def after_loading(*_unused: Any) -> None:
 
 
 @persistent
+def after_appending(context: Any, *_unused: Any) -> None:
+    """Paths of objects that were appended from another file are relative to that file, which Blender does not know of our property."""
+    for item in context.import_items:
+        thing, source = item.id, item.source_library
+        appended = source is not None and isinstance(thing, bpy.types.Object) and is_snerg_object(thing) and is_own(thing)
+        if appended and thing.snerg.folder.startswith("//"):
+            write_path(thing, blend_path(Path(bpy.path.abspath(thing.snerg.folder, library=source))))
+
+
+@persistent
 def before_undo(*_unused: Any) -> None:
     """Remember the project settings, which are not part of an undo step: jobs and operators set them."""
     _settings_before_undo.clear()
@@ -183,6 +193,7 @@ def orphaned_projects() -> list[Path]:
 
 
 HANDLERS = (
+    (bpy.app.handlers.blend_import_post, after_appending),
     (bpy.app.handlers.save_pre, before_saving),
     (bpy.app.handlers.save_post, after_saving),
     (bpy.app.handlers.load_post, after_loading),

@@ -16,7 +16,7 @@ from snerg.core.export.scene_files import write_scene
 from snerg.snerg_addon import packing
 from snerg.snerg_addon.packing import is_packed
 from snerg.snerg_addon.project import project_of
-from snerg.snerg_addon.scene_object import folder_of, make, placement, problem_of, show_scene, snerg_objects, source_of
+from snerg.snerg_addon.scene_object import folder_of, is_own, make, placement, problem_of, show_scene, snerg_objects, source_of
 from snerg.snerg_addon.viewport.loading import cached, loaded
 
 CENTRE = (0.4, -0.2, 0.3)
@@ -225,3 +225,60 @@ def test_an_object_follows_its_project_when_the_file_is_saved_first_and_elsewher
         assert thing.snerg.folder.startswith("//") and cached(source_of(thing)).shape == baked().shape, place
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"), copy=True)
     assert cached(source_of(objects()[0])).shape == baked().shape
+
+
+@pytest.fixture
+def library(scene, source, tmp_path):
+    """A file in another folder than the open one, with a collection of one object that shows `source` by a relative path."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    library, own = tmp_path / "library" / "library.blend", tmp_path / "deep" / "deeper" / "own.blend"
+    for file in (library, own):
+        file.parent.mkdir(parents=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(library))
+    group = bpy.data.collections.new("Group")
+    bpy.context.scene.collection.children.link(group)
+    make(baked(), source, group)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(own))
+    yield library
+    bpy.ops.wm.read_homefile(use_empty=False, use_factory_startup=True)
+
+
+def reopened() -> list[bpy.types.Object]:
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    return list(snerg_objects(bpy.data))
+
+
+def test_a_linked_object_and_its_override_find_the_scene_from_their_library(library, source):
+    bpy.ops.wm.link(directory=f"{library}/Collection/", filename="Group", instance_collections=False)
+    (linked,) = snerg_objects(bpy.data)
+    assert linked.snerg.folder.startswith("//") and folder_of(linked) == source
+    bpy.data.collections["Group"].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
+    things = reopened()
+    assert len(things) == 2 and sum(thing.library is None for thing in things) == 1
+    for thing in things:
+        assert folder_of(thing) == source and not is_own(thing) and cached(source_of(thing)).shape == baked().shape
+    bpy.context.view_layer.objects.active = next(thing for thing in things if thing.library is None)
+    assert not bpy.ops.snerg.pack_scene.poll()
+
+
+def test_an_override_of_an_override_too(library, source, tmp_path):
+    bpy.ops.wm.link(directory=f"{library}/Collection/", filename="Group", instance_collections=False)
+    bpy.data.collections["Group"].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
+    bpy.ops.wm.save_mainfile()
+    second = bpy.data.filepath
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "third.blend"))
+    with bpy.data.libraries.load(second, link=True) as (_, found):
+        found.scenes = ["Scene"]
+    assert {folder_of(thing) for thing in snerg_objects(bpy.data)} == {source}
+
+
+@pytest.mark.parametrize("what", ["Object/SNeRG", "Collection/Group"])
+def test_an_appended_object_finds_its_scene(library, source, what):
+    kind, name = what.split("/")
+    bpy.ops.wm.append(directory=f"{library}/{kind}/", filename=name)
+    (thing,) = reopened()
+    assert is_own(thing) and thing.snerg.folder.startswith("//") and folder_of(thing) == source
