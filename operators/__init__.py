@@ -21,6 +21,7 @@ def classes() -> tuple[type[Any], ...]:
         import_field,
         import_scene,
         open_folder,
+        originals,
         pack_scene,
         preview,
         proxy,
@@ -33,7 +34,7 @@ def classes() -> tuple[type[Any], ...]:
 
     modules = (
         *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
-        *(composite, proxy),
+        *(composite, proxy, originals),
         *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder),
     )
     return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

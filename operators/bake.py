@@ -11,6 +11,7 @@ from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_from_blender, box_of
 from ..snerg_addon.capture import evaluated
+from ..snerg_addon.originals import originals_of
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.scene_object import show_scene
 from .task_operator import TaskOperator, awaited
@@ -40,10 +41,18 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
         quality = about.get("refine", {}).get("psnr_after")
         before, folder = project.scene, project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
-        show_scene(scene, project, folder, before)
+        made = show_scene(scene, project, folder, before)
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
-        return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"
+        sentence = f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"
+        return sentence if made is None else sentence + hint(made, scene)
+
+
+def hint(made: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """What to do about the objects that a new SNeRG object stands among, a sentence; '' where there are none."""
+    found = originals_of(made, scene, evaluated(scene))
+    count = len(found.inside) + len(found.reaching) + len(found.linked)
+    return f". {made.name!r} stands where what was baked still is; Hide Originals in its Object tab hides that" if count else ""
 
 
 def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:

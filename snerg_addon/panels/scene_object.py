@@ -6,10 +6,13 @@ import bpy
 
 from ...core.errors import SnergError
 from .. import packing
-from ..scene_object import folder_of, is_snerg_object, problem_of, source_of
+from ..originals import hidden_in
+from ..scene_object import folder_of, is_own, is_snerg_object, problem_of, source_of
 from ..viewport import draw
 from ..viewport.loading import has_scene, loaded
 from .layout import draw_box, draw_sentence
+
+NAMES = 8  # of hidden objects that the panel lists
 
 
 class SNERG_PT_object(bpy.types.Panel):
@@ -30,7 +33,9 @@ class SNERG_PT_object(bpy.types.Panel):
         """The folder, what is wrong with it, and what the scene holds."""
         layout, thing = self.layout, context.object
         layout.use_property_split = True
-        layout.prop(thing.snerg, "folder")
+        row = layout.row()
+        row.enabled = is_own(thing)  # an override would lose another folder when the file is opened again
+        row.prop(thing.snerg, "folder")
         try:
             draw_packing(layout, thing)
             entry = loaded(source_of(thing))
@@ -46,6 +51,7 @@ class SNERG_PT_object(bpy.types.Panel):
         else:
             layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
             layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
+            draw_originals(layout, context.scene)
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             if entry.scene.ndc is not None:
@@ -71,3 +77,12 @@ def draw_packing(layout: bpy.types.UILayout, thing: bpy.types.Object) -> None:
         layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
     if problem:
         draw_sentence(layout, problem, "INFO")
+
+
+def draw_originals(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Hiding the objects that were baked, and which are hidden."""
+    layout.operator("snerg.hide_originals", icon="HIDE_ON")
+    if hidden := sorted(thing.name for thing in hidden_in(scene)):
+        layout.operator("snerg.show_originals", icon="HIDE_OFF")
+        more = f" and {len(hidden) - NAMES} more" if len(hidden) > NAMES else ""
+        draw_sentence(layout, f"Hidden originals: {', '.join(hidden[:NAMES])}{more}", "INFO")
