@@ -18,7 +18,7 @@ from snerg.core.rendering.render import render_scene
 from snerg.core.scene.scene import Scene
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import evaluated
-from snerg.snerg_addon.composite import BAKED, MERGE, MESHES, tree_in_use, tree_of
+from snerg.snerg_addon.composite import BAKED, MERGE, MESHES, tree_holder, tree_in_use, tree_of
 from snerg.snerg_addon.depth_merge import GROUP
 from snerg.snerg_addon.scene_object import make
 
@@ -349,9 +349,9 @@ def test_a_compositor_that_reads_no_render_is_left_alone(stage):
     tree.nodes.new("CompositorNodeInvert")
     scene.render.use_compositing = False
     tree.use_fake_user = True
-    second_user = bpy.data.scenes.new("Second")
-    if "compositing_node_group" in second_user.bl_rna.properties:
-        second_user.compositing_node_group = tree  # a tree of several scenes is copied where it is changed
+    holder, name = tree_holder(bpy.data.scenes.new("Second"))
+    if name != "node_tree":
+        setattr(holder, name, tree)  # a tree of several scenes is copied where it is changed
     before = state()
     with pytest.raises(RuntimeError, match="no render layers of"):
         bpy.ops.snerg.composite()
