@@ -28,10 +28,12 @@ from .owner import (
     write_owner,
 )
 from .scene_object import folder_of, is_own, is_snerg_object, own_objects, same_folders
+from .viewport.loading import has_scene
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
 _old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
 _settings_before_undo: dict[int, tuple[str, str]] = {}  # (project id, folder) by session_uid
+_rewritten: dict[str, str] = {}  # what saving made of the path of an object, by what it was: undo brings the old one back
 _failed_moves: set[Path] = set()  # folders that could not be moved; tried again when a file is saved or opened
 _path_before_save = ""  # of the open file, while it is being saved
 
@@ -90,6 +92,8 @@ def after_saving(*_unused: Any) -> None:
 
 def write_path(thing: bpy.types.Object, path: str) -> None:
     """Write the path of an object's folder in another way; the folder is the same."""
+    if thing.snerg.folder != path:
+        _rewritten[thing.snerg.folder] = path
     with same_folders():
         thing.snerg.folder = path
 
@@ -109,6 +113,7 @@ def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
 def after_loading(*_unused: Any) -> None:
     """Another file was opened: move its projects that are still waiting to be moved, as after a crash."""
     _failed_moves.clear()
+    _rewritten.clear()
     move_saved_projects()
 
 
@@ -140,6 +145,19 @@ def after_undo(*_unused: Any) -> None:
             scene.snerg.project_id = project_id
             if bpy.data.filepath and not scene.snerg.folder:
                 scene.snerg.folder = folder
+    for thing in own_objects():
+        follow_saving(thing)
+
+
+def follow_saving(thing: bpy.types.Object) -> None:
+    """Where undo brought back a path from before the file was saved elsewhere, at which no scene is any more: write it as saving did."""
+    tried, found = [thing.snerg.folder], has_scene(folder_of(thing))
+    while not found and (path := _rewritten.get(tried[-1])) and path not in tried:
+        tried.append(path)
+        found = has_scene(Path(bpy.path.abspath(path)))
+    if found and len(tried) > 1:
+        with same_folders():
+            thing.snerg.folder = tried[-1]
 
 
 def move_saved_projects() -> None:

@@ -227,6 +227,23 @@ def test_an_object_follows_its_project_when_the_file_is_saved_first_and_elsewher
     assert cached(source_of(objects()[0])).shape == baked().shape
 
 
+def test_undo_over_saving_loses_no_scene(scene, source, tmp_path):
+    """The first save moves the project, the second rewrites the relative path; undo brings both old paths back, redo the new ones."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.snerg.import_scene(filepath=str(source))
+    (thing,) = objects()
+    bpy.ops.ed.undo_push(message="before")
+    for index, place in enumerate(("first", "second/deep"), 1):
+        (tmp_path / place).mkdir(parents=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / place / "file.blend"))
+        objects()[0].location.x = index
+        bpy.ops.ed.undo_push(message="Move")
+    for step in (bpy.ops.ed.undo, bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.redo):
+        step()
+        (thing,) = objects()
+        assert folder_of(thing).is_relative_to(tmp_path / "first") and cached(source_of(thing)).shape == baked().shape
+
+
 @pytest.fixture
 def library(scene, source, tmp_path):
     """A file in another folder than the open one, with a collection of one object that shows `source` by a relative path."""
