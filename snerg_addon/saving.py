@@ -27,7 +27,7 @@ from .owner import (
     unsaved_root,
     write_owner,
 )
-from .scene_object import folder_of, is_own, is_snerg_object, own_objects, same_folders
+from .scene_object import absolute, folder_of, is_own, is_snerg_object, own_objects, same_folders
 from .viewport.loading import has_scene
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
@@ -65,7 +65,8 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
     for thing in own_objects():
         old, folder = thing.snerg.folder, folder_of(thing)
         moved = next((target / folder.relative_to(source) for source, target in moves.items() if folder.is_relative_to(source)), None)
-        if moved is not None or (old.startswith("//") and os.path.dirname(bpy.data.filepath) != start):
+        elsewhere = os.path.dirname(bpy.data.filepath) != start or folder != absolute(old, None)  # or its path is still a library's
+        if moved is not None or (old.startswith("//") and elsewhere):
             _old_paths[thing.name] = old
             write_path(thing, blend_path(moved or folder, start))
 

@@ -19,7 +19,7 @@ from . import packing
 from .owner import blend_path
 from .project import Project
 from .properties import RELATIVE_PATHS
-from .viewport.loading import cached
+from .viewport.loading import cached, has_scene
 from .viewport.view import even_scale
 
 NAME = "SNeRG"
@@ -143,11 +143,24 @@ def link_beside(child: bpy.types.Object, thing: bpy.types.Object, scene: bpy.typ
 
 
 def folder_of(thing: bpy.types.Object) -> Path:
-    """The folder of an object's scene; of a linked object, and of an override of one, relative to the file that it comes from."""
-    origin = thing
+    """The folder of an object's scene; of a linked object, and of an override of one, relative to the file that it comes from.
+
+    A duplicate of a linked object, and one that was made local, have kept a path that is relative to the library: where the file's own
+    place has no scene, it is the one of the libraries that has.
+    """
+    origin, path = thing, thing.snerg.folder
     while origin.override_library is not None and origin.override_library.reference is not None:
         origin = origin.override_library.reference
-    return Path(os.path.abspath(bpy.path.abspath(thing.snerg.folder, library=origin.library)))
+    folder = absolute(path, origin.library)
+    if not path.startswith("//") or not is_own(thing) or not bpy.data.libraries or has_scene(folder):
+        return folder
+    others = {other for library in bpy.data.libraries if has_scene(other := absolute(path, library))}
+    return others.pop() if len(others) == 1 else folder
+
+
+def absolute(path: str, library: bpy.types.Library | None) -> Path:
+    """The absolute path of one of Blender's, where `//` is the folder of a library; of the open file where that is None."""
+    return Path(os.path.abspath(bpy.path.abspath(path, library=library)))
 
 
 def placed_camera(name: str, scene: Scene, matrix: np.ndarray, camera: Camera) -> tuple[Camera, float]:

@@ -299,3 +299,20 @@ def test_an_appended_object_finds_its_scene(library, source, what):
     bpy.ops.wm.append(directory=f"{library}/{kind}/", filename=name)
     (thing,) = reopened()
     assert is_own(thing) and thing.snerg.folder.startswith("//") and folder_of(thing) == source
+
+
+@pytest.mark.parametrize("way", ["duplicate", "make local"])
+def test_a_linked_object_that_becomes_the_files_own_finds_its_scene(library, source, way):
+    bpy.ops.wm.link(directory=f"{library}/Object/", filename="SNeRG")
+    (linked,) = snerg_objects(bpy.data)
+    if way == "duplicate":
+        linked.select_set(True)
+        bpy.ops.object.duplicate()
+        assert [folder_of(thing) for thing in snerg_objects(bpy.data)] == [source] * 2
+        bpy.data.objects.remove(linked)
+    else:
+        linked.make_local()
+    (thing,) = snerg_objects(bpy.data)
+    assert is_own(thing) and folder_of(thing) == source
+    (thing,) = reopened()
+    assert not bpy.data.libraries and thing.snerg.folder.startswith("//") and folder_of(thing) == source
