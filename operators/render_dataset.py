@@ -27,6 +27,7 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
     bl_label = "Render Dataset"
     bl_options = {"REGISTER"}
     step, label = "dataset", "Rendering the dataset"
+    changes_file = True
 
     goes_on: bpy.props.BoolProperty(
         name="Resume",

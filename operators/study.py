@@ -24,6 +24,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
     bl_label = "Study"
     bl_options = {"REGISTER"}
     step, label = "study", "Studying"
+    changes_file = True
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
