@@ -27,13 +27,27 @@ def classes() -> tuple[type[Any], ...]:
         proxy,
         quit,
         render_dataset,
+        resize_box,
         study,
         train,
         versions,
     )
 
     modules = (
-        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
+        *(
+            render_dataset,
+            import_dataset,
+            train,
+            import_field,
+            import_scene,
+            add_box,
+            resize_box,
+            estimate,
+            bake,
+            add_scene,
+            preview,
+            study,
+        ),
         *(composite, proxy),
         *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder, ask_python),
     )

@@ -6,6 +6,7 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 from __future__ import annotations
 
 import bpy
+from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
 from viewport import between_meshes, gpu_frames  # noqa: F401  # walks too
 
