@@ -8,7 +8,7 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, engine, menus, panels, properties, saving, scene_object, training_python
+from . import box_gizmo, command, engine, menus, overlay, panels, properties, saving, scene_object, training_python
 from .viewport import draw
 
 CLASSES = (
@@ -18,6 +18,7 @@ CLASSES = (
     *operators.classes(),
     *panels.CLASSES,
     *menus.CLASSES,
+    *box_gizmo.CLASSES,
 )
 _commands: list[Any] = []
 
@@ -34,12 +35,14 @@ def register() -> None:
     saving.register()
     watch.register()
     draw.register()
+    overlay.register()
     engine.add_panels()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse order."""
     engine.remove_panels()
+    overlay.unregister()
     draw.unregister()
     watch.unregister()
     training_python.stop()

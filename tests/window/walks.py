@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
 from viewport import between_meshes, gpu_frames  # noqa: F401  # walks too
 
