@@ -22,7 +22,7 @@ class SNERG_OT_resize_box(bpy.types.Operator):
 
     bl_idname = "snerg.resize_box"
     bl_label = "Resize Box"
-    bl_options = {"REGISTER", "UNDO", "GRAB_CURSOR", "BLOCKING"}
+    bl_options = {"REGISTER", "UNDO", "GRAB_CURSOR", "BLOCKING", "INTERNAL"}
 
     face: bpy.props.EnumProperty(name="Face", items=FACES, options={"SKIP_SAVE"})
     distance: bpy.props.FloatProperty(name="Distance", description="How far it moves outwards", subtype="DISTANCE", options={"SKIP_SAVE"})
@@ -38,7 +38,7 @@ class SNERG_OT_resize_box(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Move the face by `distance`."""
-        box = box_of(context.scene)
+        box = scene_box(context)
         box.matrix_world = moved_face(box, self.face, self.distance)
         return {"FINISHED"}
 
@@ -46,7 +46,7 @@ class SNERG_OT_resize_box(bpy.types.Operator):
         """Drag the face with the pointer."""
         if context.region_data is None:
             return self.execute(context)
-        box = box_of(context.scene)
+        box = scene_box(context)
         self._before, self._line = box.matrix_world.copy(), face_line(box, self.face)
         self._start = self._along(context, event)
         context.window_manager.modal_handler_add(self)
@@ -86,6 +86,13 @@ class SNERG_OT_resize_box(bpy.types.Operator):
         context.area.header_text_set(None)
         redraw()
         return result
+
+
+def scene_box(context: bpy.types.Context) -> bpy.types.Object:
+    """The scene's box, which `poll` has found."""
+    box = box_of(context.scene)
+    assert box is not None
+    return box
 
 
 def axis_of(face: str) -> tuple[int, float]:

@@ -321,7 +321,7 @@ def job_of(scene, goes_on: bool = True) -> Job:
     """The job that the operator starts where there is a window."""
     settings = scene.snerg
     box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
-    shots = rig_settings(bpy.context) if settings.cameras == "RIG" else chosen_shots(bpy.context)
+    shots = rig_settings(bpy.context.scene) if settings.cameras == "RIG" else chosen_shots(bpy.context)
     return render_job(scene, shots, project_of(scene).own_dataset, settings.test_every, box, goes_on)
 
 
