@@ -6,7 +6,7 @@ import bpy
 
 STEPS = (
     ("snerg.render_dataset", "snerg.use_views", "snerg.import_dataset"),
-    ("snerg.train", "snerg.import_field"),
+    ("snerg.apply_preset", "snerg.train", "snerg.import_field"),
     ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene", "snerg.add_scene"),
     ("snerg.hide_originals", "snerg.show_originals"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),

@@ -74,7 +74,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         soft_max=8,
         max=64,
     )
-    rig_count: IntProperty(name="Cameras", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
+    rig_count: IntProperty(name="Count", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
     rig_shape: EnumProperty(
         name="Shape",
         description="Where the rig's cameras are placed",
@@ -101,7 +101,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
 
     preset: EnumProperty(
-        name="Preset",
+        name="Method",
         description="The kind of field to train",
         items=[
             ("fast", "Fast", "A hash grid with a small network: good results in minutes on a CPU"),
@@ -112,8 +112,8 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         default="fast",
     )
     view_dependence: EnumProperty(
-        name="View Dependence",
-        description="How colours may change with the viewing direction",
+        name="Highlights",
+        description="How colours may change with the viewing direction (view dependence)",
         items=[
             ("auto", "Auto", "Deferred or Diffuse, as a test on the images decides"),
             ("deferred", "Deferred", "Highlights from a small network, evaluated once per pixel, as in the baked scene"),
@@ -232,7 +232,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
 
     web_cameras: EnumProperty(
-        name="Cameras",
+        name="Page Cameras",
         description="Cameras to choose from on the web page",
         items=[
             ("ACTIVE", "Active", "The scene's active camera"),

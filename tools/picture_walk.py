@@ -38,7 +38,7 @@ def panels(window: drive.Window, file: str) -> drive.Walk:
         yield from window.wait(0.5)
         yield from window.picture(name)
         window.seen.setdefault("crop", {})[name] = sidebar_rectangle(window)
-    show_only(STEPS)
+    show_only(("bake",))
     window.view.spaces.active.shading.type = "RENDERED"
     yield from window.wait(VIEWPORT_SECONDS)
     yield from window.picture("blender")
@@ -74,18 +74,9 @@ def widen(window: drive.Window) -> drive.Walk:
 
 
 def show_only(steps: tuple[str, ...]) -> None:
-    """Leave the panels of some steps in the sidebar."""
-    panels = {step: getattr(bpy.types, f"SNERG_PT_{step}", None) or KEPT[step] for step in STEPS}
-    KEPT.update(panels)
-    for panel in panels.values():
-        if panel.is_registered:
-            bpy.utils.unregister_class(panel)
+    """Open some steps of the sidebar and close the others."""
     for step in STEPS:
-        if step in steps:
-            bpy.utils.register_class(panels[step])
-
-
-KEPT: dict[str, type] = {}
+        setattr(bpy.context.window_manager.snerg_steps, step, step in steps)
 
 
 def sidebar_rectangle(window: drive.Window) -> list[int]:

@@ -8,14 +8,13 @@ import bpy
 
 from .. import overlay
 from ..bridge import box_of, size_text
-from .layout import StepPanel, draw_box
+from .layout import Step, draw_box
 
 
-class SNERG_PT_box(StepPanel, bpy.types.Panel):
+class BoxStep(Step):
     """The part of the world that is baked"""
 
-    bl_label = "Box"
-    bl_idname = "SNERG_PT_box"
+    key, label = "box", "Box"
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether a box is chosen that still exists."""

@@ -11,15 +11,17 @@ from .. import activity
 from ..bridge import box_of, resolution
 from ..capture import views_rendered
 from ..project import Project, no_dataset, project_of
-from .layout import LINE_WIDTH, StepPanel, draw_box, joined, megabytes
+from .layout import LINE_WIDTH, Step, draw_box, joined, megabytes
 
 
-class SNERG_PT_dataset(StepPanel, bpy.types.Panel):
+class DatasetStep(Step):
     """The images to train on"""
 
-    bl_label = "Dataset"
-    bl_idname = "SNERG_PT_dataset"
-    done = "dataset"
+    key, label, done = "dataset", "Dataset", "dataset"
+
+    def draw_header(self, header: bpy.types.UILayout) -> None:
+        """Importing, in place of rendering."""
+        header.operator("snerg.import_dataset", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The cameras, the buttons, and the dataset in use."""

@@ -7,14 +7,13 @@ from typing import Any
 import bpy
 
 from ..bridge import PREVIEW
-from .layout import StepPanel, draw_box
+from .layout import Step, draw_box
 
 
-class SNERG_PT_preview(StepPanel, bpy.types.Panel):
+class PreviewStep(Step):
     """The baked scene in Blender"""
 
-    bl_label = "Preview"
-    bl_idname = "SNERG_PT_preview"
+    key, label = "preview", "Preview"
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether a preview was rendered."""

@@ -16,8 +16,8 @@ from snerg.core.errors import Cancelled, SnergError
 from snerg.core.jobs.task import StepTask
 from snerg.snerg_addon import estimate_panel
 from snerg.snerg_addon.bridge import STUDY
-from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
+from snerg.snerg_addon.steps import next_step
 
 
 def refused(name: str, match: str, **keywords) -> None:
@@ -32,7 +32,7 @@ def files(scene) -> list[str]:
 
 
 def test_each_step_says_what_it_is_waiting_for(scene):
-    assert next_step(scene) == "Next: render or import a dataset"
+    assert next_step(scene) == "Next: add a box, or import a dataset"
     for name, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
