@@ -15,6 +15,7 @@ class BoxStep(Step):
     """The part of the world that is baked"""
 
     key, label = "box", "Box"
+    has_command = False
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether a box is chosen that still exists."""

@@ -16,7 +16,7 @@ from ..project import Project, project_of
 from .layout import LINE_WIDTH, Step, decibels, draw_box, draw_sentence, joined, megabytes
 from .versions import draw_versions, made_with
 
-CURVE_SCALE = 9.0  # of the curve's picture, in rows of the panel
+CURVE_SCALE = 8.0  # of the curve's picture, in rows of the panel
 
 
 class FieldStep(Step):

@@ -28,6 +28,7 @@ class Step:
     key: ClassVar[str]
     label: ClassVar[str]
     done: ClassVar[str] = ""
+    has_command: ClassVar[bool] = True  # whether a terminal can do it, too
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether the step has a result."""
@@ -37,18 +38,23 @@ class Step:
         """The header, and when it is open the content with the names of the settings on the left."""
         header, body = layout.panel_prop(context.window_manager.snerg_steps, self.key)
         header.label(text=self.label, icon="CHECKMARK" if self.is_done(context) else "RADIOBUT_OFF")
-        self.draw_header(header)
         if body:
             self.draw_body(body, context)
+        else:
+            self.draw_header(header)
 
     def draw_body(self, body: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """The content."""
         body.use_property_split = True
         body.use_property_decorate = False
         self.draw_step(body, context.scene.snerg, context)
+        if self.has_command:
+            row = body.row()
+            row.alignment = "RIGHT"
+            row.operator("snerg.copy_command", icon="COPYDOWN", emboss=False).step = self.key
 
     def draw_header(self, header: bpy.types.UILayout) -> None:
-        """Buttons that are there when the step is closed, too."""
+        """Buttons of the header while the step is closed."""
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the buttons and the result."""

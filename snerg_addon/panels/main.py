@@ -76,5 +76,10 @@ def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
     stop.enabled = not task.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
     column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
-    for note in task.notes:
-        draw_sentence(column, note, "DOT")
+    if not task.notes:
+        return
+    header, body = layout.panel(f"SNERG_notes_{running.step}", default_closed=True)
+    header.label(text=f"{len(task.notes)} note{'s' if len(task.notes) > 1 else ''}", icon="INFO")
+    if body:
+        for note in task.notes:
+            draw_sentence(body.column(align=True), note, "DOT")

@@ -114,6 +114,7 @@ def test_the_panel_shows_what_goes_on_together_with_the_notes():
     job = Job([])
     job.text, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
     layout = MagicMock()
+    layout.panel.return_value = layout, layout
     draw_task(layout, Activity("field", "Training", job))
     drawn = str(layout.mock_calls)
     assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
