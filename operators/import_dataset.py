@@ -30,6 +30,7 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
     bl_label = "Import Dataset"
     bl_options = {"REGISTER", "UNDO"}
     step, label = "dataset", "Importing the dataset"
+    kinds = ("dataset",)
     key, noun = "dataset", "dataset"
     accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 

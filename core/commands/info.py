@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from ..artifact import Result, kind_of, open_field
+from ..artifact import Result, artifact_at, kind_of, open_field
 from ..data.load import read_dataset, read_split
 from ..errors import SnergError
 from ..export.reference import read_reference
@@ -26,7 +26,7 @@ from ..training.decisions import forward_facing
 from ..training.devices import device_report
 from ..training.training_folder import trainings_beside
 from .command import Command
-from .options import path as path_argument
+from .options import artifact
 
 
 def info(path: Path, progress: Progress = silent) -> Result:
@@ -35,7 +35,8 @@ def info(path: Path, progress: Progress = silent) -> Result:
 
     Raises SnergError when `path` is no dataset, field, checkpoint or scene.
     """
-    return one_generation(path, lambda: _info(path))
+    place = artifact_at(path)
+    return one_generation(place, lambda: _info(place))
 
 
 def _info(path: Path) -> Result:
@@ -149,7 +150,7 @@ def page_cameras(path: Path) -> tuple[Camera, ...]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg info`."""
-    parser.add_argument("path", type=path_argument, nargs="?", metavar="PATH")
+    parser.add_argument("path", type=artifact, nargs="?", metavar="PATH")
     parser.add_argument("--devices", action="store_true", help="list the devices that training uses")
 
 
