@@ -114,9 +114,9 @@ def start_unfinished(part: Path, key: dict[str, Any]) -> None:
 
 def complete(part: Path, folder: Path, splits: Sequence[str], passes: Sequence[str] = ()) -> None:
     """Make the unfinished dataset `part` the dataset `folder`, in one step. splits: each view's path without suffix."""
-    beside = (path.relative_to(part) for split in splits for path in pass_files(part, split, passes).values())
+    files = [path for split in splits for path in (part / f"{split}.png", *pass_files(part, split, passes).values())]
     with new_folder(folder) as whole:
-        for name in (*(f"{split}.png" for split in splits), *beside, *(path.name for path in part.glob("transforms_*.json"))):
+        for name in (path.relative_to(part) for path in (*files, *part.glob("transforms_*.json"))):
             (whole / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(part / name, whole / name)
     shutil.rmtree(part, ignore_errors=True)

@@ -157,8 +157,8 @@ def _write_surface(channels: dict[str, np.ndarray], files: Mapping[str, Path]) -
     if "depth" in files:
         write_channels(files["depth"], {"Y": np.where(there, depth, 0)})  # Y: the one channel that OpenCV reads as well
     if "normal" in files:
-        parts = [channels.get(f"Normal.{axis}") for axis in "XYZ"]
-        if any(part is None for part in parts):
+        parts = [channels[f"Normal.{axis}"] for axis in "XYZ" if f"Normal.{axis}" in channels]
+        if len(parts) < 3:
             raise SnergError("The render engine gives no normals; render with Cycles or EEVEE, or turn normals off.")
         normal = np.stack(parts, axis=-1)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -90,9 +90,13 @@ def _depth_info(parts: list[Dataset]) -> Result | None:
     if not named:
         return None
     there = [(part, index) for part, index, file in named if file.path.is_file()]
-    values = there[0][0].depth(there[0][1]) if there else None
+    try:
+        values, problem = there[0][0].depth(there[0][1]) if there else None, {}
+    except SnergError as error:  # the dataset can be trained on without its depth
+        values, problem = None, {"problem": str(error)}
     found = values[np.isfinite(values)] if values is not None else np.zeros(0)
     return {
+        **problem,
         "views": len(there),
         "missing": len(named) - len(there),
         "stored": "along the ray" if named[0][2].along_ray else "along the axis",

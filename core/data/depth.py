@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -34,29 +34,37 @@ class DepthFile:
     """A depth image on disk, which may be missing."""
 
     path: Path
-    unit: float | None = None  # units of the poses a stored unit; None: 1 for floating-point files, millimetres for integers
+    unit: float | None = None  # units of the poses a stored unit, NaN if the source's is invalid; None: 1, but MILLIMETRE for integers
     along_ray: bool = False  # whether it is the distance from the camera; else the distance along the camera's axis
 
 
-def depth_of_frame(root: Path, value: dict[str, Any], frame: dict[str, Any], where: str) -> DepthFile | None:
+def depth_of_frame(root: Path, value: dict[str, Any], frame: dict[str, Any]) -> DepthFile | None:
     """The depth image that a frame of a transforms file names; None where it names none. value: the whole file.
 
-    Raises SnergError, which begins with `where`, when the path leads out of `root` or the unit is not a number above 0.
+    Training does not need it, so that nothing is refused here: a wrong unit is NaN, and a path that leads out of `root` is missing.
     """
     name = next((frame[key] for key in DEPTH_KEYS if isinstance(frame.get(key), str) and frame[key]), None)
     if name is None:
         return None
     stated = next((merged[key] for merged in (frame, value) for key in UNIT_KEYS if key in merged), None)
     if stated is not None and (isinstance(stated, bool) or not isinstance(stated, int | float) or not 0 < stated < math.inf):
-        raise SnergError(f"{where} states depth in units of {stated!r}; it must be a number above 0.")
-    return DepthFile(inside(root, name.replace("\\", "/"), where), stated, bool(value.get("is_euclidean_depth", False)))
+        stated = math.nan
+    return DepthFile(_own(root, name) or root / PurePosixPath(name).name, stated, bool(value.get("is_euclidean_depth", False)))
 
 
-def passes_of_frame(root: Path, frame: dict[str, Any], where: str) -> dict[str, Path]:
-    """The passes besides depth that a frame names and that exist, by their names in PASSES. Raises SnergError as `depth_of_frame`."""
+def passes_of_frame(root: Path, frame: dict[str, Any]) -> dict[str, Path]:
+    """The passes besides depth that a frame names and that exist in `root`, by their names in PASSES."""
     named = {name: frame[key] for name, key in PASSES.items() if isinstance(frame.get(key), str) and frame[key]}
-    paths = {name: inside(root, file.replace("\\", "/"), where) for name, file in named.items()}
-    return {name: path for name, path in paths.items() if path.is_file()}
+    paths = {name: _own(root, file) for name, file in named.items()}
+    return {name: path for name, path in paths.items() if path is not None and path.is_file()}
+
+
+def _own(root: Path, name: str) -> Path | None:
+    """The path of a file inside `root`; None where it leads out of it."""
+    try:
+        return inside(root, name.replace("\\", "/"), "The dataset")
+    except SnergError:
+        return None
 
 
 def read_depth(file: DepthFile, camera: Camera, factor: int, scale: float) -> NDArray[Any]:
@@ -66,6 +74,8 @@ def read_depth(file: DepthFile, camera: Camera, factor: int, scale: float) -> ND
     enlarged to the nearest values. A reduced pixel has the lower median of its block, so that no depth between two surfaces appears.
     Raises SnergError when the file is missing or damaged, has other proportions than the picture, holds negative values, or no depth.
     """
+    if file.unit is not None and math.isnan(file.unit):
+        raise SnergError(f"The unit of the depth image {file.path} is not a number above 0; correct {UNIT_KEYS[0]} in the dataset's file.")
     values, whole = _stored(file.path)
     if (values < 0).any():
         raise SnergError(f"The depth image {file.path} holds negative values; depth is a distance in front of the camera: write it again.")
@@ -129,7 +139,7 @@ def _fitted(path: Path, depth: NDArray[Any], camera: Camera, factor: int) -> NDA
     if abs(columns * height - rows * width) > PROPORTION * rows * width + factor * max(rows, columns):
         raise SnergError(f"The depth image {path} is {columns} x {rows}, its picture {width} x {height}; make it of the same proportions.")
     down, across = (np.arange(height) + 0.5) * rows / height, (np.arange(width) + 0.5) * columns / width
-    return depth[np.ix_(down.astype(int), across.astype(int))]
+    return np.asarray(depth[np.ix_(down.astype(int), across.astype(int))])
 
 
 def _blocks(depth: NDArray[Any], camera: Camera, factor: int) -> NDArray[Any]:
@@ -139,4 +149,4 @@ def _blocks(depth: NDArray[Any], camera: Camera, factor: int) -> NDArray[Any]:
     blocks = depth.reshape(camera.height, factor, camera.width, factor).transpose(0, 2, 1, 3).reshape(camera.height, camera.width, -1)
     ordered = np.sort(blocks, axis=-1)  # NaN last
     middle = np.maximum(np.isfinite(ordered).sum(axis=-1) - 1, 0) // 2
-    return np.take_along_axis(ordered, middle[..., None], axis=-1)[..., 0]
+    return np.asarray(np.take_along_axis(ordered, middle[..., None], axis=-1)[..., 0])

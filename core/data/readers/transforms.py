@@ -129,7 +129,7 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     camera = read_camera(value, frame, read_size(image), where, name=image.stem)
     mask, hides = find_mask(file.parent, value, frame, image, where)
-    depth, passes = depth_of_frame(file.parent, value, frame, where), passes_of_frame(file.parent, frame, where)
+    depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
     return View(camera, image, mask, hides, depth=depth, passes=passes)
 
 
