@@ -20,6 +20,7 @@ from ..core.errors import SnergError
 from ..core.io.exr import has_openimageio, read_channels, write_channels
 
 PASSES = ("depth", *PASS_KEYS)
+ENGINES = ("CYCLES", "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT")  # that give all of them
 SURFACE = ("depth", "normal")  # of the pixel's centre
 LAYER_PASSES = {  # of a view layer, that a pass is made from
     "depth": ("z",),

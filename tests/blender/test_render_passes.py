@@ -179,9 +179,11 @@ def test_passes_can_be_left_out_and_wrong_ones_are_refused(stage, tmp_path):
 
 
 def test_the_panel_chooses_passes(scene):
-    assert chosen_passes(scene.snerg) == ("depth",)
+    assert chosen_passes(scene) == ("depth",)
     scene.snerg.render_depth, scene.snerg.render_light = False, True
-    assert chosen_passes(scene.snerg) == ("diffuse", "glossy")
+    assert chosen_passes(scene) == ("diffuse", "glossy")
+    scene.render.engine = "BLENDER_WORKBENCH"
+    assert chosen_passes(scene) == ()
 
 
 @pytest.mark.slow
