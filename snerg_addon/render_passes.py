@@ -164,7 +164,7 @@ def _write_surface(channels: dict[str, np.ndarray], files: Mapping[str, Path]) -
         normal = np.stack(parts, axis=-1)
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         normal = np.where(there[..., None] & (length > 0), normal / np.where(length > 0, length, 1), 0)
-        write_channels(files["normal"], {name: normal[..., index] for index, name in enumerate("RGB")})
+        write_channels(files["normal"], {name: normal[..., index] for index, name in enumerate("RGB")}, half=True)
 
 
 def _write_light(channels: dict[str, np.ndarray], name: str, path: Path) -> None:
