@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..core.artifact import SCENES
 from ..snerg_addon.project import Project
 from ..snerg_addon.scene_object import show_scene
 from .import_operator import ImportOperator
@@ -18,6 +19,7 @@ class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
     bl_label = "Import Scene"
     bl_options = {"REGISTER"}
     step, label = "bake", "Importing the scene"
+    kinds = SCENES
     changes_file = True
     key, noun = "scene", "baked scene"
 

@@ -17,6 +17,7 @@ from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project, project_of, remember
 from ..snerg_addon.render_job import render_job
+from ..snerg_addon.render_passes import ENGINES, PASSES, check_passes
 from .task_operator import TaskOperator
 
 
@@ -45,17 +46,21 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
         core_cameras(scene, shots)  # raises now where a camera could not be rendered later
         for folder in (project.own_dataset, unfinished(project.own_dataset)):
             check_replaceable(folder)
+        capture = CaptureSettings(settings.test_every, chosen_passes(scene))
+        check_passes(capture.passes)
         if bpy.app.background:
-            return StepTask(render_steps(scene, shots, project.own_dataset, CaptureSettings(settings.test_every), box, self.goes_on))
+            return StepTask(render_steps(scene, shots, project.own_dataset, capture, box, self.goes_on))
         chosen = rig_settings(context.scene) if settings.cameras == "RIG" else shots
-        return render_job(scene, chosen, project.own_dataset, settings.test_every, box, self.goes_on)
+        return render_job(scene, chosen, project.own_dataset, capture, box, self.goes_on)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the dataset, and make it the one to train on."""
         scene.snerg.dataset = ""
         remember(project, "dataset", project.own_dataset, result)
         kept = f"; {result['kept']} of them were kept from the run before and show the scene as it was then" if result.get("kept") else ""
-        return f"Rendered {result['train']} views to train on and {result['test']} to test on into {project.own_dataset}{kept}"
+        chosen = scene.snerg.render_depth or scene.snerg.render_normals or scene.snerg.render_light
+        without = "; without passes, which only Cycles and EEVEE give" if chosen and scene.render.engine not in ENGINES else ""
+        return f"Rendered {result['train']} views to train on and {result['test']} to test on into {project.own_dataset}{kept}{without}"
 
 
 class SNERG_OT_use_views(bpy.types.Operator):
@@ -82,6 +87,14 @@ def chosen_shots(context: bpy.types.Context) -> list[Shot]:
         box = box_from_blender(box_of(context.scene), evaluated(context.scene))
         return list(rig_cameras(box, rig_settings(context.scene), *resolution(context.scene)))
     return scene_cameras(context, settings.cameras)
+
+
+def chosen_passes(scene: bpy.types.Scene) -> tuple[str, ...]:
+    """The passes that the panel's settings choose, in the order of render_passes.PASSES; none where the engine has none."""
+    settings = scene.snerg
+    chosen = {"depth": settings.render_depth, "normal": settings.render_normals}
+    wanted = tuple(name for name in PASSES if chosen.get(name, settings.render_light))
+    return wanted if scene.render.engine in ENGINES else ()
 
 
 def scene_cameras(context: bpy.types.Context, which: str) -> list[Shot]:

@@ -8,7 +8,7 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from ..core.io.files import MARK, cannot_write, check_replaceable, json_bytes, n
 from ..core.io.images import read_size
 from ..core.progress import Progress, silent
 from .bridge import camera_from_blender, set_camera, temporary_camera
+from .render_passes import check_passes, enable_light, file_extra, frame_extra, pass_files, write_passes
 
 Shot: TypeAlias = bpy.types.Object | Camera
 TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # PNG chunks that hold texts and times
@@ -33,9 +34,10 @@ RENDERING = "rendering.json"  # in an unfinished dataset: its `rendering_key`
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """test_every: every n-th view is held out for testing; 0 holds none out."""
+    """test_every: every n-th view is held out for testing; 0 holds none out. passes: written beside the pictures (see render_passes)."""
 
     test_every: int = DatasetOptions.holdout
+    passes: tuple[str, ...] = ("depth",)
 
 
 def render_dataset(
@@ -47,7 +49,7 @@ def render_dataset(
     progress: Progress = silent,
     resume: bool = True,
 ) -> dict[str, Any]:
-    """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json.
+    """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json, and a folder of each pass.
 
     shots: camera objects, or core cameras with the scene's resolution. box: recorded as the dataset's box. resume: see `render_steps`.
     Returns {"train", "test": number of views, "width", "height": pixels}, and "kept": views reused from an earlier run, if any.
@@ -79,6 +81,7 @@ def render_steps(
     the same; else it starts again.
     """
     settings = settings or CaptureSettings()
+    check_passes(settings.passes)
     cameras = core_cameras(scene, shots)
     splits = split_names(len(shots), settings.test_every)
     check_replaceable(folder)
@@ -89,12 +92,13 @@ def render_steps(
     for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
         if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
-            recorded = render_file(scene, shot, part / f"{splits[index]}.png", camera)
-            write_splits(part, cameras, splits, box, recorded)
+            files = pass_files(part, splits[index], settings.passes)
+            recorded = render_file(scene, shot, part / f"{splits[index]}.png", camera, files)
+            write_splits(part, cameras, splits, box, recorded, settings.passes)
     if kept == len(shots):  # the run before was stopped between its last view and its end
         with capture_scene(scene) as copy:
-            write_splits(part, cameras, splits, box, colour_settings(copy))
-    complete(part, folder, splits)
+            write_splits(part, cameras, splits, box, colour_settings(copy), settings.passes)
+    complete(part, folder, splits, settings.passes)
     held_out, first = sum(name.startswith("test") for name in splits), cameras[0]
     counts = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
     return {**counts, "kept": kept} if kept else counts
@@ -108,11 +112,12 @@ def start_unfinished(part: Path, key: dict[str, Any]) -> None:
     write_bytes(part / RENDERING, json_bytes(key))
 
 
-def complete(part: Path, folder: Path, splits: Sequence[str]) -> None:
+def complete(part: Path, folder: Path, splits: Sequence[str], passes: Sequence[str] = ()) -> None:
     """Make the unfinished dataset `part` the dataset `folder`, in one step. splits: each view's path without suffix."""
+    files = [path for split in splits for path in (part / f"{split}.png", *pass_files(part, split, passes).values())]
     with new_folder(folder) as whole:
-        for name in (*(f"{split}.png" for split in splits), *(path.name for path in part.glob("transforms_*.json"))):
-            (whole / name).parent.mkdir(exist_ok=True)
+        for name in (path.relative_to(part) for path in (*files, *part.glob("transforms_*.json"))):
+            (whole / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(part / name, whole / name)
     shutil.rmtree(part, ignore_errors=True)
 
@@ -133,7 +138,15 @@ def rendering_key(scene: bpy.types.Scene, cameras: Sequence[Camera], settings: C
     """{"views": their number, "key": a hash of the cameras, the frame and the render settings}. Objects and materials are not in it."""
     parts = (scene.render, scene.view_settings, scene.display_settings, *(getattr(scene, name, None) for name in ("cycles", "eevee")))
     poses = [[camera.name, *intrinsics_json(camera).items(), camera.camera_to_world.tolist()] for camera in cameras]
-    value = [settings.test_every, scene.name, scene.frame_current, scene.frame_subframe, poses, [rna_settings(part) for part in parts]]
+    value = [
+        settings.test_every,
+        settings.passes,
+        scene.name,
+        scene.frame_current,
+        scene.frame_subframe,
+        poses,
+        [rna_settings(part) for part in parts],
+    ]
     key = hashlib.sha256(json.dumps(value, default=str).encode()).hexdigest()
     return {"views": len(cameras), "key": key}
 
@@ -161,12 +174,15 @@ def read_rendering(part: Path) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def render_file(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """`render_view` into a PNG without text chunks; the file is complete or absent. Raises SnergError also where it cannot be written."""
+def render_file(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera, passes: Mapping[str, Path] | None = None) -> dict[str, Any]:
+    """`render_view` into a PNG without text chunks; the file is complete or absent, and where it is there, so are the passes.
+
+    Raises SnergError also where it cannot be written.
+    """
     beside = path.parent / f".{path.name}.part"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        recorded = render_view(scene, shot, beside, camera)
+        recorded = render_view(scene, shot, beside, camera, passes)
         write_bytes(path, strip_text_chunks(beside.read_bytes()))
     except OSError as error:
         raise cannot_write(path, error) from error
@@ -187,14 +203,23 @@ def strip_text_chunks(png: bytes) -> bytes:
     return b"".join(kept)
 
 
-def write_splits(part: Path, cameras: Sequence[Camera], splits: Sequence[str], box: Box | None, recorded: dict[str, Any]) -> None:
+def write_splits(
+    part: Path,
+    cameras: Sequence[Camera],
+    splits: Sequence[str],
+    box: Box | None,
+    recorded: dict[str, Any],
+    passes: Sequence[str] = (),
+) -> None:
     """Write transforms_train.json and transforms_test.json for the views that are rendered. splits: each view's path without suffix."""
     rendered = [index for index, name in enumerate(splits) if (part / f"{name}.png").is_file()]
     for split in ("train", "test"):
         chosen = [index for index in rendered if splits[index].startswith(split)]
         if chosen:
             names = [f"./{splits[index]}" for index in chosen]
-            write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, {"snerg_render": recorded})
+            extra = {"snerg_render": recorded, **file_extra(passes)}
+            frames = [frame_extra(splits[index], passes) for index in chosen]
+            write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, extra, frames)
 
 
 def link_or_copy(source: Path, target: Path) -> None:
@@ -233,10 +258,11 @@ def split_names(count: int, test_every: int) -> list[str]:
     return names
 
 
-def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) -> dict[str, Any]:
-    """Render one view to a PNG with straight alpha, and return its `colour_settings`.
+def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera, passes: Mapping[str, Path] | None = None) -> dict[str, Any]:
+    """Render one view to a PNG with straight alpha, and its passes, and return its `colour_settings`.
 
-    camera: of the shot. Raises SnergError where Blender wrote no image, or one that does not have the camera's size.
+    camera: of the shot. passes: the file of each pass by its name. Raises SnergError where Blender wrote no image, or one that does not
+    have the camera's size.
     """
     with capture_scene(scene) as copy, temporary_camera() as stand_in:
         copy.render.filepath = str(path)
@@ -247,7 +273,9 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera) 
         else:
             copy.camera = shot
         try:
+            enable_light(copy, tuple(passes or ()))
             bpy.ops.render.render(write_still=True, scene=copy.name)
+            write_passes(copy, passes or {})
         except RuntimeError as error:  # the error report of a Blender operator
             why = str(error).strip()
             raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error

@@ -25,7 +25,7 @@ COPY, ORDER = "scene.blend", "render.json"
 
 
 def render_job(
-    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, test_every: int, box: Box | None, resume: bool
+    scene: bpy.types.Scene, shots: list[Shot] | RigSettings, folder: Path, settings: CaptureSettings, box: Box | None, resume: bool
 ) -> Job:
     """A job that renders what `capture.render_dataset` would render now. shots: camera objects of the scene, or a rig round the box.
 
@@ -35,7 +35,8 @@ def render_job(
     order: dict[str, Any] = {
         "scene": scene.name,
         "folder": str(folder),
-        "test_every": test_every,
+        "test_every": settings.test_every,
+        "passes": list(settings.passes),
         "goes_on": resume,
         "box": box.to_json() if box else None,
         "scripts": not bpy.app.autoexec_fail,  # whether scripts run in this file now
@@ -108,7 +109,7 @@ def render(progress: Progress) -> dict[str, Any]:
         load_painted(source, order["images"])
         scene = bpy.data.scenes[order["scene"]]
         box = Box.from_json(order["box"]) if order["box"] else None
-        settings = CaptureSettings(order["test_every"])
+        settings = CaptureSettings(order["test_every"], tuple(order["passes"]))
         return render_dataset(scene, ordered_shots(scene, order, box), Path(order["folder"]), settings, box, progress, order["goes_on"])
     finally:
         shutil.rmtree(source, ignore_errors=True)

@@ -51,6 +51,9 @@ def draw_cameras(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Sce
         if box_of(scene) is None:
             column.label(text="The rig needs a box", icon="INFO")
     column.prop(settings, "test_every")
+    passes = column.column(align=True, heading="Passes")
+    for name in ("render_depth", "render_normals", "render_light"):
+        passes.prop(settings, name)
 
 
 def draw_render(layout: bpy.types.UILayout, project: Project) -> None:

@@ -323,7 +323,7 @@ def job_of(scene, goes_on: bool = True) -> Job:
     settings = scene.snerg
     box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
     shots = rig_settings(bpy.context.scene) if settings.cameras == "RIG" else chosen_shots(bpy.context)
-    return render_job(scene, shots, project_of(scene).own_dataset, settings.test_every, box, goes_on)
+    return render_job(scene, shots, project_of(scene).own_dataset, CaptureSettings(settings.test_every), box, goes_on)
 
 
 def test_a_dataset_renders_in_a_process_of_its_own_with_all_unsaved_changes(scene, tmp_path):
