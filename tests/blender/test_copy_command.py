@@ -47,10 +47,10 @@ def test_a_file_is_imported_as_what_it_is(scene, dataset, tmp_path):
         dataset,
         tmp_path / "field",
         steps=1,
-        values={"samples": "256", "family.grid.levels": "2", "family.grid.log2_size": "10", "view_dependence": "diffuse"},
+        values=dict(pair.split("=") for pair in SMALL[1::2]) | {"view_dependence": "diffuse"},
     )
     assert importer_of(dataset / "transforms_train.json")[0] == "import_dataset" and field is not None
-    assert importer_of(tmp_path / "scene" / "scene.json") == ("import_scene", tmp_path / "scene")
+    assert importer_of(tmp_path / "scene" / "scene.json")[0] == "import_scene"
     assert importer_of(tmp_path / "field" / "field.npz")[0] == "import_field"
     with pytest.raises(SnergError, match="does not exist"):
         importer_of(tmp_path / "nothing.json")

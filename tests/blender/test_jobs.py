@@ -303,8 +303,10 @@ def test_damaged_results_are_a_sentence(scene, tmp_path):
 
 
 def test_a_scripts_job_is_not_taken_in_by_a_window(scene, tmp_path):
-    with pytest.raises(RuntimeError, match="nowhere"):
-        bpy.ops.snerg.import_scene(filepath=str(tmp_path / "nowhere"))
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "scene.json").write_text("{}")
+    with pytest.raises(RuntimeError, match="damaged"):
+        bpy.ops.snerg.import_scene(filepath=str(tmp_path / "damaged"))
     (folder,) = folders.job_folders(project_of(scene).folder)
     assert folders.read_record(folder)["label"] == "Importing the scene" and not folders.is_alive(folder)
     watch.tick()
