@@ -81,7 +81,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
     render_normals: BoolProperty(name="Normals", description="Write the surface normals of each view, in the scene's axes", default=False)
     render_light: BoolProperty(
-        name="Diffuse and Glossy Light",
+        name="Diffuse, Glossy",
         description="Write for each view which light comes from diffuse and which from glossy surfaces (linear, OpenEXR)",
         default=False,
     )
