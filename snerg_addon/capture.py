@@ -275,7 +275,7 @@ def render_view(scene: bpy.types.Scene, shot: Shot, path: Path, camera: Camera, 
         try:
             enable_light(copy, tuple(passes or ()))
             bpy.ops.render.render(write_still=True, scene=copy.name)
-            write_passes(copy, passes or {})
+            write_passes(copy, passes or {}, lambda: bpy.ops.render.render(scene=copy.name))
         except RuntimeError as error:  # the error report of a Blender operator
             why = str(error).strip()
             raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error

@@ -66,17 +66,6 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=0,
         soft_max=20,
     )
-    render_depth: BoolProperty(
-        name="Depth",
-        description="Write the depth of each view, as OpenEXR beside the pictures: the exact distance along the camera's axis",
-        default=True,
-    )
-    render_normals: BoolProperty(name="Normals", description="Write the surface normals of each view, in the scene's axes", default=False)
-    render_light: BoolProperty(
-        name="Diffuse and Glossy Light",
-        description="Write for each view which light comes from diffuse and which from glossy surfaces (linear, OpenEXR)",
-        default=False,
-    )
     downscale: IntProperty(
         name="Downscale",
         description="Train on images this many times smaller in width and height: faster, but less sharp",
@@ -84,6 +73,17 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=1,
         soft_max=8,
         max=64,
+    )
+    render_depth: BoolProperty(
+        name="Depth",
+        description="Write the depth of each view, as OpenEXR beside the pictures: the exact distance along the camera's axis",
+        default=True,
+    )
+    render_normals: BoolProperty(name="Normals", description="Write the surface normals of each view, in the scene's axes", default=False)
+    render_light: BoolProperty(
+        name="Diffuse, Glossy",
+        description="Write for each view which light comes from diffuse and which from glossy surfaces (linear, OpenEXR)",
+        default=False,
     )
     rig_count: IntProperty(name="Count", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
     rig_shape: EnumProperty(

@@ -6,7 +6,8 @@ lie anywhere in the pixel. Light is of the picture's own samples. All are OpenEX
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -72,22 +73,23 @@ def enable_light(scene: bpy.types.Scene, passes: Sequence[str]) -> None:
     _enable(scene, [name for name in passes if name not in SURFACE])
 
 
-def write_passes(scene: bpy.types.Scene, files: Mapping[str, Path]) -> None:
-    """Write the passes of the view that was just rendered from `scene`, a copy that may be changed. files: of `pass_files`.
+def write_passes(scene: bpy.types.Scene, files: Mapping[str, Path], render: Callable[[], object]) -> None:
+    """Write the passes of the view that was just rendered from `scene`, a copy that may be changed.
 
-    Raises SnergError where a pass cannot be written, and RuntimeError where Blender cannot render.
+    files: of `pass_files`. render: renders the scene again, without a file. Raises SnergError where a pass cannot be written, and
+    RuntimeError where Blender cannot render.
     """
     light = {name: path for name, path in files.items() if name not in SURFACE}
     if light:
-        channels = _rendered(scene, next(iter(light.values())))
+        channels = _rendered(scene)
         for name, path in light.items():
             _write_light(channels, name, path)
     surface = {name: path for name, path in files.items() if name in SURFACE}
     if surface:
         with _centre_samples(scene):
             _enable(scene, list(surface))
-            bpy.ops.render.render(write_still=False, scene=scene.name)
-            channels = _rendered(scene, next(iter(surface.values())))
+            render()
+            channels = _rendered(scene)
         _write_surface(channels, surface)
 
 
@@ -123,27 +125,25 @@ def _centre_samples(scene: bpy.types.Scene) -> Iterator[None]:
             setattr(thing, name, value)
 
 
-def _rendered(scene: bpy.types.Scene, beside: Path) -> dict[str, np.ndarray]:
-    """The channels of the first view layer of Blender's render result, float32 [H, W], by name. beside: where a temporary file may lie."""
+def _rendered(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
+    """The channels of the first view layer of Blender's render result, float32 [H, W], by name."""
     image, result = scene.render.image_settings, bpy.data.images.get("Render Result")
-    path = beside.with_name(f".{beside.stem}.layers.exr")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if result is None:
+        raise SnergError("Blender keeps no render result to take depth from; turn the passes off.")
     before = [(name, getattr(image, name)) for name in FILE_SETTINGS if hasattr(image, name)]
     try:
-        if hasattr(image, "media_type"):
-            image.media_type = "MULTI_LAYER_IMAGE"
-        image.file_format = "OPEN_EXR_MULTILAYER"
-        image.color_depth, image.exr_codec = "32", "NONE"
-        if hasattr(image, "use_exr_interleave"):
-            image.use_exr_interleave = True  # one part: Blender 5.0 cannot write several with a pixel aspect other than 1
-        if result is None:
-            raise SnergError("Blender keeps no render result to take depth from; turn the passes off.")
-        result.save_render(str(path), scene=scene)
-        channels = read_channels(path)
+        with tempfile.TemporaryDirectory(prefix="snerg-") as room:  # the project's path may hold braces, which Blender fills in
+            if hasattr(image, "media_type"):
+                image.media_type = "MULTI_LAYER_IMAGE"
+            image.file_format = "OPEN_EXR_MULTILAYER"
+            image.color_depth, image.exr_codec = "32", "NONE"
+            if hasattr(image, "use_exr_interleave"):
+                image.use_exr_interleave = True  # one part: Blender 5.0 cannot write several with a pixel aspect other than 1
+            result.save_render(str(Path(room) / "layers.exr"), scene=scene)
+            channels = read_channels(Path(room) / "layers.exr")
     except RuntimeError as error:
         raise SnergError(f"Blender could not write its passes ({str(error).strip()}); see whether the disk is full.") from error
     finally:
-        path.unlink(missing_ok=True)
         for name, value in before:
             setattr(image, name, value)
     layer = next((layer.name for layer in scene.view_layers if layer.use), scene.view_layers[0].name)

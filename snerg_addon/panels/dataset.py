@@ -28,6 +28,7 @@ class DatasetStep(Step):
         project = project_of(context.scene)
         draw_cameras(layout, settings, context.scene)
         layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
+        draw_passes(layout, settings)
         draw_render(layout, project)
         layout.operator("snerg.import_dataset", icon="IMPORT")
         layout.prop(settings, "dataset", text="Train On")
@@ -51,9 +52,13 @@ def draw_cameras(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Sce
         if box_of(scene) is None:
             column.label(text="The rig needs a box", icon="INFO")
     column.prop(settings, "test_every")
-    passes = column.column(align=True, heading="Passes")
+
+
+def draw_passes(layout: bpy.types.UILayout, settings: Any) -> None:
+    """Which passes are written beside the pictures."""
+    column = layout.column(align=True, heading="Passes")
     for name in ("render_depth", "render_normals", "render_light"):
-        passes.prop(settings, name)
+        column.prop(settings, name)
 
 
 def draw_render(layout: bpy.types.UILayout, project: Project) -> None:
