@@ -40,6 +40,7 @@ class SNERG_PG_object(bpy.types.PropertyGroup):
         size=3,
         subtype="XYZ_LENGTH",
     )
+    temporary: bpy.props.BoolProperty(options={"HIDDEN"})  # type: ignore[valid-type]  # see training_object.py
     baked_at: bpy.props.FloatVectorProperty(size=16, default=np.eye(4).ravel().tolist(), options={"HIDDEN"})  # type: ignore[valid-type]
 
 
@@ -61,7 +62,7 @@ def show_scene(scene: bpy.types.Scene, project: Project, folder: Path) -> bpy.ty
     except SnergError:
         return None
     for thing in snerg_objects(scene):
-        if folder_of(thing).is_relative_to(project.folder):
+        if folder_of(thing).is_relative_to(project.folder) and not thing.snerg.temporary:
             moved = np.array(thing.matrix_world, np.float64) @ np.linalg.inv(placement(thing)) @ baked.box.box_to_world
             point_at(thing, baked, folder)
             thing.matrix_world = Matrix(moved.tolist())

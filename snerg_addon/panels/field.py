@@ -53,6 +53,7 @@ def draw_settings(layout: bpy.types.UILayout, settings: Any) -> None:
     if settings.train_background == "colour":
         layout.prop(settings, "train_colour")
     layout.prop(settings, "downscale")
+    layout.prop(settings, "show_training")
 
 
 def can_continue(scene: bpy.types.Scene) -> bool:

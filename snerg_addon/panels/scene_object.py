@@ -30,6 +30,9 @@ class SNERG_PT_object(bpy.types.Panel):
         """The folder, what is wrong with it, and what the scene holds."""
         layout, thing = self.layout, context.object
         layout.use_property_split = True
+        if thing.snerg.temporary:
+            draw_sentence(layout, "The training so far, baked coarsely. It goes away when the training ends; a bake stays", "INFO")
+            return
         layout.prop(thing.snerg, "folder")
         if packing.is_packed(thing):
             layout.operator("snerg.unpack_scene", icon="PACKAGE")

@@ -96,7 +96,7 @@ def draw() -> None:
         shown = [thing for thing in snerg_objects(context.view_layer) if thing.visible_in_viewport_get(context.space_data)]
         eye = context.region_data.view_matrix.inverted().translation
         drawn = [draw_object(context, o) for o in sorted(shown, key=lambda o: -(o.matrix_world.translation - eye).length)]
-        if not all(drawn):
+        if not all(drawn) or reading():
             _later()
         _forget_closed(context.window_manager)
     except Exception as error:
