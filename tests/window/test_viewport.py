@@ -48,3 +48,20 @@ def test_meshes_stand_before_and_behind(blender):
         for name, (x, y) in seen[kind].items():
             shown = pixels[int(pixels.shape[0] - y), int(x)]
             assert np.abs(shown - COLOURS[name]).max() < 40, f"{kind}: {name} is {shown}"
+
+
+def test_a_training_is_shown_as_it_grows_and_not_afterwards(blender, photos):
+    seen = blender.walk("shown_training", photos)
+    assert all(seen[f"shown {count}"] for count in range(3)) and seen["objects"] == 1, seen
+    assert seen["ended"] and not seen["left"], f"What is left of the preview: {seen['left']}"
+    before, first, last, after = (picture(blender, name) for name in ("before", "shown-0", "shown-2", "after"))
+    assert np.abs(first - before).max() > 60, "The viewport shows no training; see shown-0.png"
+    assert np.abs(last - first).max() > 20, "The training did not grow; compare shown-0.png and shown-2.png"
+    assert np.abs(after - before).max() < 20, "The training is still shown; see after.png"
+
+
+def picture(blender, name):
+    """[h, w, 3] levels of the middle of the window, where the training is shown."""
+    with Image.open(blender.folder("shown_training") / f"{name}.png") as opened:
+        pixels = np.asarray(opened.convert("RGB")).astype(int)
+    return pixels[pixels.shape[0] // 3 : pixels.shape[0] // 2, pixels.shape[1] // 3 : pixels.shape[1] // 2]

@@ -67,3 +67,38 @@ def between_meshes(window: Window, folder: str) -> Walk:
         window.seen[kind] = {name: [region.x + at.x, region.y + at.y] for name, at in found.items()}
         window.shoot(kind)
     window.seen["height"] = window.window.height
+
+
+def shown_training(window: Window, photos: str) -> Walk:
+    """Train with the 3D view in sight: how often the training's object shows something new, and what is left of it at the end."""
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.settings.dataset, window.settings.steps, window.settings.view_dependence = photos, 100000, "diffuse"
+    window.view.spaces.active.region_3d.view_distance = 6
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.train("INVOKE_DEFAULT")
+    yield from window.picture("before")
+    for count in range(3):
+        window.seen[f"shown {count}"] = yield from window.until(lambda known=count: len(previews(window)) > known, 120)
+        yield from window.picture(f"shown-{count}")
+        if count == 1:
+            yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.seen["objects"] = len(temporary())
+    window.operator("cancel")
+    window.seen["ended"] = yield from window.until(lambda: not window.busy(), 60)
+    window.seen["left"] = [thing.name for thing in temporary()] + [str(path) for path in window.folder.rglob("preview")]
+    yield from window.picture("after")
+
+
+def temporary() -> list[Any]:
+    """The objects that show trainings."""
+    return [thing for thing in bpy.data.objects if thing.snerg.temporary]
+
+
+def previews(window: Window) -> set[int]:
+    """The previews that were seen so far, by the time of their files, once the object shows them."""
+    seen: set[int] = window.__dict__.setdefault("previews", set())
+    found = part("snerg_addon.viewport.loading")._known
+    seen.update(found[folder].stamp for folder in found if temporary() and folder.name == "preview" and found[folder].scene)
+    return seen
