@@ -60,6 +60,16 @@ def test_a_training_is_shown_as_it_grows_and_not_afterwards(blender, photos):
     assert np.abs(after - before).max() < 20, "The training is still shown; see after.png"
 
 
+def test_the_preview_opens_where_it_can_be_seen(blender):
+    folder = OUT / "previewed"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(make_snerg(diffuse=True, fog=False), folder)
+    seen = blender.walk("preview_seen", folder)
+    assert seen["windows"] == [1, 2, 1, 2, 2], f"Windows at first, rendered, closed, shown again, rendered again: {seen['windows']}"
+    assert seen["images"] == [["SNeRG Preview"], [], ["SNeRG Preview"], ["SNeRG Preview"]]
+    assert any("another window" in text for text in seen["texts"][0]) and any("no editor" in text for text in seen["texts"][1])
+
+
 def picture(blender, name):
     """[h, w, 3] levels of the middle of the window, where the training is shown."""
     with Image.open(blender.folder("shown_training") / f"{name}.png") as opened:

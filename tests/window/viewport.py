@@ -102,3 +102,38 @@ def previews(window: Window) -> set[int]:
     found = part("snerg_addon.viewport.loading")._known
     seen.update(found[folder].stamp for folder in found if temporary() and folder.name == "preview" and found[folder].scene)
     return seen
+
+
+def preview_seen(window: Window, folder: str) -> Walk:
+    """Render the preview, close its window, show it again, and render it once more."""
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.operator("import_scene", filepath=folder)
+    window.seen["windows"] = [len(bpy.context.window_manager.windows)]
+    window.window.scene.render.resolution_percentage = 25
+
+    def note() -> None:
+        manager = bpy.context.window_manager
+        window.seen["windows"].append(len(manager.windows))
+        shown = [a.spaces.active.image for w in manager.windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
+        window.seen.setdefault("images", []).append([image and image.name for image in shown])
+        window.seen.setdefault("texts", []).append(window.texts("preview"))
+
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.preview("INVOKE_DEFAULT")
+    yield from window.until(lambda: not window.busy() and len(bpy.context.window_manager.windows) > 1, 60)
+    yield from window.wait(1)
+    note()
+    window.shoot("opened")
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
+        bpy.ops.wm.window_close()
+    yield from window.wait(1)
+    note()
+    yield from window.picture("closed")
+    window.operator("show_preview")
+    yield from window.wait(1)
+    note()
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.preview("INVOKE_DEFAULT")
+    yield from window.until(lambda: not window.busy(), 60)
+    yield from window.wait(1)
+    note()

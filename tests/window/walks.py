@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bpy
 from drive import Walk, Window
-from viewport import between_meshes, gpu_frames, shown_training  # noqa: F401  # walks too
+from viewport import between_meshes, gpu_frames, preview_seen, shown_training  # noqa: F401  # walks too
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
 
