@@ -1,7 +1,8 @@
 """Runs inside Blender's window: what pictures.py photographs. See tests/window/drive.py, which sends the events.
 
 `blender --enable-event-simulate --python picture_walk.py -- panels FOLDER FILE` writes FOLDER/STEP.png, a picture of the whole window
-for each step, and FOLDER/panels.json with the rectangles to crop to.
+for each step, and FOLDER/panels.json with the rectangles to crop to. `-- live FOLDER SCENE` does the same for the viewport and the camera view
+of a baked scene among meshes.
 """
 
 from __future__ import annotations
@@ -10,15 +11,19 @@ import sys
 from pathlib import Path
 
 import bpy
+from mathutils import Euler
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "window"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 import drive
+import picture_object
 
 STEPS = ("dataset", "field", "box", "bake", "preview", "study", "export")
 SHOWN = {"dataset": ("dataset",), "field": ("field",), "bake": ("box", "bake"), "preview": ("preview",), "export": ("export",)}
 SCALE = 1.25  # of Blender's interface: letters stay sharp in pictures of the sidebar
 SIDEBAR_WIDTH = 420  # pixels: no name is cut off
 VIEWPORT_SECONDS = 45  # for the viewport's render, by software
+LIVE_DISTANCE, LIVE_SECONDS = 5.2, 15  # world units; seconds until the viewport has drawn the baked scene, by software
 VIEW_DISTANCE = 3.7  # world units from the middle of the still life: nearer than its cameras, none of which is then in the way
 
 
@@ -42,6 +47,32 @@ def panels(window: drive.Window, file: str) -> drive.Walk:
     window.view.spaces.active.shading.type = "RENDERED"
     yield from window.wait(VIEWPORT_SECONDS)
     yield from window.picture("blender")
+
+
+def live(window: drive.Window, scene: str) -> drive.Walk:
+    """A picture of the viewport with a baked scene among meshes, and one of its camera view."""
+    bpy.context.preferences.view.ui_scale = SCALE
+    with bpy.context.temp_override(window=window.window):
+        baked = picture_object.build(Path(scene))
+    with bpy.context.temp_override(window=window.window, area=window.view):
+        bpy.ops.screen.screen_full_area()
+    look(window)
+    space = window.view.spaces.active
+    space.shading.color_type = "MATERIAL"
+    space.region_3d.view_rotation = Euler((1.05, 0, 0.75)).to_quaternion()
+    space.region_3d.view_distance = LIVE_DISTANCE
+    baked.select_set(True)
+    region = next(region for region in window.view.regions if region.type == "WINDOW")
+    for name in ("viewport", "camera"):
+        if name == "camera":
+            baked.select_set(False)
+            space.region_3d.view_perspective = "CAMERA"
+            with bpy.context.temp_override(window=window.window, area=window.view, region=region):
+                bpy.ops.view3d.view_center_camera()
+        yield from window.wait(LIVE_SECONDS)
+        yield from window.picture(name)
+        top = window.window.height - region.y - region.height
+        window.seen.setdefault("crop", {})[name] = [region.x, top, region.x + region.width, top + region.height]
 
 
 def look(window: drive.Window) -> None:
