@@ -1,12 +1,11 @@
 """A baked scene among meshes, for the pictures of the object's life that pictures.py takes.
 
-`python picture_object.py SCENE VDB FOLDER`, in the Python of this project: renders FOLDER/f12.png, composite.png and volume.png, by Blender as a
-module. picture_walk.py builds the same in Blender's window.
+`python picture_object.py SCENE VDB FOLDER`, in the Python of this project, renders FOLDER/f12.png, composite.png and volume.png by Blender
+as a module. picture_walk.py builds the same in Blender's window.
 """
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -99,11 +98,11 @@ def light_volume(scene: bpy.types.Scene) -> None:
     for other in scene.objects:
         other.hide_render = other.type in ("MESH", "LIGHT")
     bpy.ops.mesh.primitive_plane_add(size=60, location=(0, 0, -0.11))
-    _colour("Floor", (0.5, 0.5, 0.5))
-    _light("Lamp", (-3.0, -1.4, 2.6), 200, 0.35)
+    _colour("Floor", (0.22, 0.22, 0.22))
+    _light("Lamp", (-3.0, -1.4, 2.6), 520, 0.35)
     _grey_world(scene, 0.25)
     cycles = scene.cycles
-    cycles.samples, cycles.volume_bounces, cycles.max_bounces = SAMPLES["volume"], 1, 2
+    cycles.samples, cycles.volume_bounces, cycles.max_bounces = SAMPLES["volume"], 2, 3
 
 
 def _grey_world(scene: bpy.types.Scene, level: float) -> None:

@@ -1,8 +1,8 @@
 """Runs inside Blender's window: what pictures.py photographs. See tests/window/drive.py, which sends the events.
 
 `blender --enable-event-simulate --python picture_walk.py -- panels FOLDER FILE` writes FOLDER/STEP.png, a picture of the whole window
-for each step, and FOLDER/panels.json with the rectangles to crop to. `-- live FOLDER SCENE` does the same for the viewport and the camera view
-of a baked scene among meshes.
+for each step, and FOLDER/panels.json with the rectangles to crop to. `-- live FOLDER SCENE` does the same for the viewport and the camera
+view of a baked scene among meshes.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def live(window: drive.Window, scene: str) -> drive.Walk:
                 bpy.ops.view3d.view_center_camera()
         yield from window.wait(LIVE_SECONDS)
         yield from window.picture(name)
-        top = window.window.height - region.y - region.height
-        window.seen.setdefault("crop", {})[name] = [region.x, top, region.x + region.width, top + region.height]
+        width, height, top = region.width, region.height, window.window.height - region.y - region.height
+        left, high = (width // 5, height // 8) if name == "viewport" else (0, 0)  # what lies round the scene is only grid
+        window.seen.setdefault("crop", {})[name] = [region.x + left, top + high, region.x + width - left, top + height]
 
 
 def look(window: drive.Window) -> None:
