@@ -72,7 +72,7 @@ def system_errors() -> Iterator[None]:
     except OSError as error:
         if error.filename is None or not error.strerror:
             raise
-        raise SnergError(f"The system refuses {error.filename} ({error.strerror}); check the path and its permissions.") from error
+        raise SnergError(f"The system denies access to {error.filename} ({error.strerror}); check the path and its permissions.") from error
 
 
 def json_values(value: Any) -> Any:

@@ -8,9 +8,9 @@ import numpy as np
 from ..core.geometry.box import Box
 from ..snerg_addon.bridge import add_box
 from ..snerg_addon.capture import evaluated
+from ..snerg_addon.originals import SOLID
 
 MARGIN = 1.05  # size of the box over that of the objects, so that their surfaces lie inside
-SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "CURVES", "POINTCLOUD"}
 
 
 class SNERG_OT_add_box(bpy.types.Operator):

@@ -7,11 +7,11 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import resolution
 from ..snerg_addon.estimate_panel import summary
 from ..snerg_addon.project import Project
+from ..snerg_addon.training_python import start_training
 from .bake import baking_arguments
 from .task_operator import TaskOperator
 
@@ -31,7 +31,7 @@ class SNERG_OT_estimate(TaskOperator, bpy.types.Operator):
             project.survey.unlink()  # deleted, because the machine may have been busy when its times were measured
         width, height = resolution(context.scene)
         size = ["--width", str(width), "--height", str(height), "--survey", str(project.survey)]
-        return start_command(["estimate", str(project.field), *size, *baking_arguments(context, project)])
+        return start_training(["estimate", str(project.field), *size, *baking_arguments(context, project)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Report the estimate; from now on the panel updates it."""

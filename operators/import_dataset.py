@@ -28,8 +28,9 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER"}
     step, label = "dataset", "Importing the dataset"
+    changes_file = True
     key, noun = "dataset", "dataset"
     accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 

@@ -8,11 +8,11 @@ from typing import Any
 import bpy
 
 from ..core.artifact import is_dataset
-from ..core.data.rig import RigSettings, rig_cameras
+from ..core.data.rig import rig_cameras
 from ..core.errors import SnergError
 from ..core.io.files import check_replaceable
 from ..core.jobs.task import StepTask, Task
-from ..snerg_addon.bridge import box_from_blender, box_of, resolution
+from ..snerg_addon.bridge import box_from_blender, box_of, resolution, rig_settings
 from ..snerg_addon.capture import CaptureSettings, Shot, core_cameras, evaluated, render_steps, unfinished
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project, project_of, remember
@@ -27,6 +27,7 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
     bl_label = "Render Dataset"
     bl_options = {"REGISTER"}
     step, label = "dataset", "Rendering the dataset"
+    changes_file = True
 
     goes_on: bpy.props.BoolProperty(
         name="Resume",
@@ -46,7 +47,7 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
             check_replaceable(folder)
         if bpy.app.background:
             return StepTask(render_steps(scene, shots, project.own_dataset, CaptureSettings(settings.test_every), box, self.goes_on))
-        chosen = rig_settings(context) if settings.cameras == "RIG" else shots
+        chosen = rig_settings(context.scene) if settings.cameras == "RIG" else shots
         return render_job(scene, chosen, project.own_dataset, settings.test_every, box, self.goes_on)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
@@ -79,14 +80,8 @@ def chosen_shots(context: bpy.types.Context) -> list[Shot]:
     settings = context.scene.snerg
     if settings.cameras == "RIG":
         box = box_from_blender(box_of(context.scene), evaluated(context.scene))
-        return list(rig_cameras(box, rig_settings(context), *resolution(context.scene)))
+        return list(rig_cameras(box, rig_settings(context.scene), *resolution(context.scene)))
     return scene_cameras(context, settings.cameras)
-
-
-def rig_settings(context: bpy.types.Context) -> RigSettings:
-    """The rig of the panel's settings."""
-    settings = context.scene.snerg
-    return RigSettings(settings.rig_count, settings.rig_shape == "HEMISPHERE", settings.rig_angle, settings.rig_distance)
 
 
 def scene_cameras(context: bpy.types.Context, which: str) -> list[Shot]:

@@ -9,10 +9,10 @@ from typing import Any
 import bpy
 
 from ..core.io.files import write_bytes
-from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import STUDY
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.training_python import start_training
 from .bake import box_to_bake
 from .task_operator import TaskOperator
 
@@ -24,6 +24,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
     bl_label = "Study"
     bl_options = {"REGISTER"}
     step, label = "study", "Studying"
+    changes_file = True
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
@@ -42,7 +43,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
             arguments += ["--box", str(path)]
         if settings.target_db:
             arguments += ["--target-db", f"{settings.target_db:g}"]
-        return start_command([*arguments, "--out", str(project.studies / where)])
+        return start_training([*arguments, "--out", str(project.studies / where)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Load the contact sheet as an image, and record where the report is."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import bpy
 
-from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.curve import curve_of
 from ..snerg_addon.project import Project, remember
+from ..snerg_addon.training_python import start_training
 from .task_operator import TaskOperator
 
 
@@ -31,7 +31,7 @@ class SNERG_OT_train(TaskOperator, bpy.types.Operator):
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
         project.note_settings(out, arguments[arguments.index("--preset") :])
         shown = settings.show_training and not bpy.app.background
-        return start_command([*arguments, "--preview"] if shown else arguments)
+        return start_training([*arguments, "--preview"] if shown else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version with the decisions of the training, and put it in use."""

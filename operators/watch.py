@@ -16,13 +16,14 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, saving, training_object
+from ..snerg_addon import activity, saving, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
-from .task_operator import TaskOperator, redraw
+from .task_operator import TaskOperator, redraw, remember_for_undo
 
 TICK_SECONDS = 0.2  # between two calls of the timer
 IDLE_SECONDS = 1.0  # between two calls while no task runs
+WHOLE_FILE = {"OBJECT", "POSE"}  # the modes in which an undo step holds the whole file
 _stale = False  # whether something changed that is not drawn yet
 
 
@@ -30,7 +31,7 @@ def tick() -> float:
     """The timer's function. Returns the seconds until its next call."""
     global _stale
     try:
-        _stale = _stale or bool(activity.current())
+        _stale = training_python.poll() or _stale or bool(activity.current())
         saving.move_saved_projects()
         find()
         for running in activity.current():
@@ -70,8 +71,11 @@ def found(job: Job, scene: bpy.types.Scene, project: Path) -> Activity:
 
 def follow(running: Activity) -> None:
     """Poll its task. When the task has ended, finish it and report the outcome."""
-    task = running.task
+    task, operator = running.task, operator_class(running.operator)
     if task.poll():
+        return
+    if task.state == "done" and operator is not None and operator.changes_file and (reason := cannot_undo_now()):
+        task.text = reason
         return
     activity.end(running)
     if isinstance(task, Job) and task.folder is not None:
@@ -100,7 +104,7 @@ def take_result(running: Activity) -> tuple[str, bool]:
     except Exception as error:  # a damaged result, or a bug: the panel must not wait for ever
         traceback.print_exc()
         return f"The result could not be used ({type(error).__name__}: {error}); see Blender's console for details.", False
-    if "UNDO" in getattr(operator, "bl_options", ()):
+    if operator.changes_file:
         remember_for_undo(running.label)
     return " ".join([sentence, *finisher.warnings]), not finisher.warnings
 
@@ -128,12 +132,18 @@ def operator_class(name: str) -> Any:
     return next((cls for cls in classes() if issubclass(cls, TaskOperator) and getattr(cls, "bl_idname", None) == name), None)
 
 
-def remember_for_undo(label: str) -> None:
-    """Push an undo step: the one that Blender made for the operator came before the result."""
-    windows = bpy.context.window_manager.windows
-    if windows:
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message=label)
+def cannot_undo_now() -> str:
+    """Why what a task made cannot become an undo step now, a few words; '' where it can.
+
+    A step that Blender takes in Edit Mode holds the mesh alone: an object made then would be lost by undo and not be brought back by redo.
+    """
+    for window in bpy.context.window_manager.windows:
+        active = window.view_layer.objects.active
+        if active is not None and active.mode not in WHOLE_FILE:
+            return "Ready; leave " + active.mode.replace("_", " ").title() + " Mode to get the result"
+        if any(operator.bl_idname.startswith("TRANSFORM_") for operator in window.modal_operators):
+            return "Ready; finish the transform to get the result"
+    return ""
 
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..core.data.rig import RigSettings
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
@@ -165,6 +166,19 @@ def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgr
         return Box.from_matrix(matrix @ np.diag([*[empty.empty_display_size] * 3, 1]))
     except SnergError as error:
         raise SnergError(f"{empty.name}: {error}") from error
+
+
+def size_text(empty: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """'2 m x 1.5 m x 0.8 m': the sides of the box that a cube empty shows, in the scene's units."""
+    unit = scene.unit_settings
+    sizes = [2 * abs(side) * empty.empty_display_size * unit.scale_length for side in empty.matrix_world.to_scale()]
+    return " x ".join(bpy.utils.units.to_string(unit.system, "LENGTH", size, precision=3) for size in sizes)
+
+
+def rig_settings(scene: bpy.types.Scene) -> RigSettings:
+    """The rig of the panel's settings."""
+    settings = scene.snerg
+    return RigSettings(settings.rig_count, settings.rig_shape == "HEMISPHERE", settings.rig_angle, settings.rig_distance)
 
 
 def set_box(empty: bpy.types.Object, box: Box) -> None:

@@ -40,6 +40,12 @@ def probe_of(project: Project) -> FieldProbe | None:
     return known[1]
 
 
+def bake_settings(scene: bpy.types.Scene) -> BakeSettings:
+    """The bake of the panel's settings. Raises SnergError when it is not possible."""
+    settings = scene.snerg
+    return BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
+
+
 def lines(context: bpy.types.Context) -> list[str]:
     """The estimate for the panel's settings and the box, in a few short lines; none where the field has no probe yet."""
     probe = probe_of(project_of(context.scene))
@@ -48,8 +54,7 @@ def lines(context: bpy.types.Context) -> list[str]:
     settings, box = context.scene.snerg, box_of(context.scene)
     try:
         volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
-        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
-        return _lines(probe, volume, wanted, settings.refine, resolution(context.scene))
+        return _lines(probe, volume, bake_settings(context.scene), settings.refine, resolution(context.scene))
     except SnergError as error:
         return [str(error)]
 

@@ -8,6 +8,7 @@ STEPS = (
     ("snerg.render_dataset", "snerg.use_views", "snerg.import_dataset"),
     ("snerg.train", "snerg.import_field"),
     ("snerg.add_box", "snerg.estimate", "snerg.bake", "snerg.import_scene", "snerg.add_scene"),
+    ("snerg.hide_originals", "snerg.show_originals"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),
     ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
 )

@@ -1,7 +1,8 @@
-"""The add-on's preferences (Edit > Preferences > Add-ons > SNeRG)."""
+"""The values of the add-on's preferences (panels/preferences.py)."""
 
-# mypy: disable-error-code="valid-type"
-# Blender reads the annotations of properties as values, hence no postponed evaluation here.
+from __future__ import annotations
+
+from typing import Any
 
 import bpy
 
@@ -9,27 +10,17 @@ ADDON = __package__.rpartition(".")[0]  # the extension's own name, by which Ble
 GPU_MEGABYTES = 2048
 
 
-class SNERG_AP_preferences(bpy.types.AddonPreferences):
-    """What holds for every file."""
-
-    bl_idname = ADDON
-
-    gpu_megabytes: bpy.props.IntProperty(
-        name="Graphics Memory",
-        description="MB of graphics memory that SNeRG objects may take in the viewport; those that do not fit are not drawn there",
-        default=GPU_MEGABYTES,
-        min=16,
-        soft_max=65536,
-    )
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """The settings."""
-        self.layout.use_property_split = True
-        self.layout.prop(self, "gpu_megabytes")
-
-
 def gpu_bytes() -> int:
     """Bytes of graphics memory that the viewport may take."""
+    return int(_chosen("gpu_megabytes", GPU_MEGABYTES)) * 2**20
+
+
+def training_python() -> str:
+    """The path of another Python that trains; empty for Blender's own."""
+    path = str(_chosen("training_python", "")).strip()
+    return str(bpy.path.abspath(path)) if path else ""
+
+
+def _chosen(name: str, otherwise: Any) -> Any:
     addon = bpy.context.preferences.addons.get(ADDON)
-    chosen = getattr(addon.preferences, "gpu_megabytes", GPU_MEGABYTES) if addon else GPU_MEGABYTES
-    return int(chosen) * 2**20
+    return getattr(addon.preferences, name, otherwise) if addon else otherwise

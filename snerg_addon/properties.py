@@ -206,6 +206,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         precision=4,
         step=1,
     )
+    show_voxels: BoolProperty(
+        name="Show Voxels",
+        description="Draw the voxels of the bake on three faces of the box, several as one where they would be too many to see",
+        default=False,
+    )
     samples: IntProperty(
         name="Samples",
         description="Samples of the field per voxel. More give smoother edges and take longer. 0: chosen automatically",

@@ -8,17 +8,17 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, engine, menus, panels, preferences, properties, saving, scene_object
+from . import box_gizmo, command, engine, menus, overlay, panels, properties, saving, scene_object, training_python
 from .viewport import draw
 
 CLASSES = (
-    preferences.SNERG_AP_preferences,
     *properties.CLASSES,
     scene_object.SNERG_PG_object,
     engine.SNERG_RE_engine,
     *operators.classes(),
     *panels.CLASSES,
     *menus.CLASSES,
+    *box_gizmo.CLASSES,
 )
 _commands: list[Any] = []
 
@@ -35,14 +35,17 @@ def register() -> None:
     saving.register()
     watch.register()
     draw.register()
+    overlay.register()
     engine.add_panels()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse order."""
     engine.remove_panels()
+    overlay.unregister()
     draw.unregister()
     watch.unregister()
+    training_python.stop()
     saving.unregister()
     quit.remove_keys()
     while _commands:

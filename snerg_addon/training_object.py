@@ -17,7 +17,7 @@ from ..core.io.files import discard
 from ..core.jobs.runner import Job
 from . import activity
 from .activity import Activity
-from .scene_object import folder_of, make, snerg_objects
+from .scene_object import folder_of, make, own_objects
 from .viewport.loading import loaded
 
 NAME = "SNeRG Training"
@@ -41,7 +41,7 @@ def discard_preview(running: Activity) -> None:
 
 def temporary_objects() -> Iterator[bpy.types.Object]:
     """The objects of this module in the open file; the artist may have duplicated some."""
-    return (thing for thing in snerg_objects(bpy.data) if thing.snerg.temporary and thing.library is None)
+    return (thing for thing in own_objects() if thing.snerg.temporary)
 
 
 def show_trainings() -> None:

@@ -36,7 +36,7 @@ def reading(path: Path, advice: str, subject: str = "") -> Iterator[None]:
     except FileNotFoundError as error:
         raise SnergError(f"{subject} does not exist; check the path.") from error
     except MemoryError as error:
-        raise SnergError(f"{subject} asks for more memory than there is; {advice}, or close other programs.") from error
+        raise SnergError(f"{subject} needs more memory than is free; {advice}, or close other programs.") from error
     except Exception as error:  # decoders raise any exception: zlib.error, TokenError, OverflowError, RecursionError, struct.error ...
         if isinstance(error, OSError) and error.errno is not None:
             raise SnergError(f"Cannot read {path} ({error.strerror or error}).") from error

@@ -202,12 +202,27 @@ def job_environment() -> dict[str, str]:
     }
 
 
+def environment_of(python: str | None) -> dict[str, str]:
+    """`job_environment`; another Python (a path) gets no import path, because it has packages of its own."""
+    environment = job_environment()
+    if python is not None:
+        del environment[IMPORT_PATH]
+    return environment
+
+
+def command_line(arguments: Sequence[str], python: str | None = None) -> list[str]:
+    """The program and arguments that run a command of the command line. python: see `start_command`."""
+    return [python or sys.executable, str(LAUNCHER), *arguments]
+
+
 def start_command(arguments: Sequence[str], python: str | None = None) -> Job:
     """A command of the command line (`["bake", FIELD, "--out", SCENE]`) as a job that `begin` or `wait` starts.
 
-    python: the interpreter, by default this process's; inside Blender that is Blender's own. Raises SnergError when it does not exist.
+    python: another interpreter, which has the packages itself; by default this process's, inside Blender that is Blender's own.
+    Raises SnergError when it does not exist.
     """
-    python = python or sys.executable
-    if not python or not Path(python).is_file():
-        raise SnergError(f"Blender's Python was not found at {python!r}; reinstall Blender from blender.org.")
-    return Job([python, str(LAUNCHER), *arguments, "--job"], job_environment())
+    if python is not None and not Path(python).is_file():
+        raise SnergError(f"The Python for training was not found at {python!r}; choose another in the add-on's preferences.")
+    if python is None and not (sys.executable and Path(sys.executable).is_file()):
+        raise SnergError(f"Blender's Python was not found at {sys.executable!r}; reinstall Blender from blender.org.")
+    return Job([*command_line(arguments, python), "--job"], environment_of(python))

@@ -27,8 +27,8 @@ class TrainSettings:
 
     # What the images decide where it is 'auto'; 'on' or 'off' overrides.
     ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
-    transparency: str = "auto"  # whether the images' alpha is trained on and carves the visual hull
-    backdrop: str = "auto"  # whether a plain backdrop in opaque images carves the visual hull
+    transparency: str = "auto"  # whether the images' alpha is trained on and bounds the scene (visual hull)
+    backdrop: str = "auto"  # whether a plain backdrop in opaque images bounds the scene (visual hull)
 
     # Sampling.
     sampler: str = "packed"  # 'packed': equally spaced samples of occupied cells (ours); 'hierarchical' (NeRF, section 5.2)
@@ -102,12 +102,12 @@ class TrainSettings:
         if not (0 < self.final_rate <= self.rate and math.isfinite(self.rate)):
             raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, and it must not rise.")
         if self.steps is not None and self.steps < 1:
-            raise SnergError(f"Training for {self.steps} steps is no training; give 1 or more.")
+            raise SnergError(f"Training for {self.steps} steps trains nothing; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
-            raise SnergError(f"Training for {self.seconds} seconds is no training; give a time above 0, or steps.")
+            raise SnergError(f"Training for {self.seconds} seconds trains nothing; give a time above 0, or steps.")
         for name, wanted in (("opaque", self.opaque), ("hierarchy", self.hierarchy == "on")):
             if wanted and self.sampler != "hierarchical":
-                raise SnergError(f"The setting {name} is for the hierarchical sampler alone; set sampler=hierarchical with it.")
+                raise SnergError(f"The setting {name} is only for the hierarchical sampler; set sampler=hierarchical with it.")
         _check_family(self.family)
 
 

@@ -67,7 +67,7 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
             raise SnergError("The settings want transparency, but not every image has an alpha channel that varies; set it to auto or off.")
         return decided("Alpha", setting, False, "The images have no alpha channel, or one that is opaque everywhere.", 0.0, TRANSPARENT)
     share = float((pixels[:, 3] < 255).mean())
-    evidence = f"{100 * share:.2f} % of the pixels are not opaque (from {100 * TRANSPARENT:g} % on, alpha carves the hull and is learned)."
+    evidence = f"{100 * share:.2f} % of the pixels are not opaque (from {100 * TRANSPARENT:g} % on, alpha bounds the scene and is learned)."
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
 
 
@@ -78,11 +78,11 @@ def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) ->
     is random. alpha: whether alpha is trained on; there is no need for a backdrop then.
     """
     if alpha or not shares:
-        why = "Alpha says where the scene is." if alpha else "The background is no one colour."
+        why = "Alpha separates the scene from its background." if alpha else "The background has no single colour."
         return Decision("Backdrop", False, why, None, PLAIN, setting != "auto")
     share = float(np.mean(shares))
-    carves = f"from {100 * PLAIN:.0f} % on, what hangs together with them carves the hull"
-    evidence = f"{100 * share:.0f} % of the images' borders are just {colour} ({carves})."
+    rule = f"from {100 * PLAIN:.0f} % on, areas of this colour that touch the border are background"
+    evidence = f"{100 * share:.0f} % of the images' border pixels are exactly {colour} ({rule})."
     return decided("Backdrop", setting, share >= PLAIN, evidence, share, PLAIN)
 
 
@@ -102,23 +102,23 @@ def forward_facing(
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     angle = float(np.degrees(np.arccos(np.clip(axes @ -frame[:3, 2], -1, 1).min())))
     near, far = _depths(frame, cameras, points, bounds)
-    summary = f"The cameras look up to {angle:.0f} degrees away from their mean (forward-facing: {FACING:.0f} and less)"
+    summary = f"The cameras look up to {angle:.0f} degrees away from their mean direction (forward-facing: {FACING:.0f} at most)"
     reasons = []
     if any(c.projection != "perspective" for c in cameras):
         reasons.append("some are orthographic")
     if angle > FACING:
-        reasons.append("they look at it from around")
+        reasons.append("they surround the scene")
     elif near is None or far is None:
         reasons.append("the source does not say how near and far the scene is")
     elif near <= 0:
         reasons.append("no plane in front of all cameras has the whole scene behind it")
     impossible = bool(reasons)
     if near is not None and far is not None and near > 0:
-        summary += f", the scene lies {near:.3g} to {far:.3g} away, 1 : {far / near:.1f} (from 1 : {DEEP:g} on)"
+        summary += f", the scene lies {near:.3g} to {far:.3g} away, a ratio of {far / near:.1f} (NDC from {DEEP:g} on)"
         if far / near < DEEP:
-            reasons.append("it is not deep")
+            reasons.append("the scene is not deep enough")
     if alpha:
-        reasons.append("alpha cuts it out of its background")
+        reasons.append("alpha separates the scene from its background")
     evidence = summary + (f"; {' and '.join(reasons)}." if reasons else ".")
     if setting == "on" and impossible:
         raise SnergError(f"These cameras cannot have normalised device coordinates: {reasons[0]}; set ndc to auto or off.")
@@ -184,14 +184,14 @@ def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: N
     """
     override = {"linear": "off", "disparity": "on"}.get(setting, "auto")
     if ndc:
-        return decided("Disparity", override, False, "Device coordinates are linear in disparity already.")
+        return decided("Disparity", override, False, "Normalised device coordinates are already linear in disparity.")
     enter, leave = clip_rays(domain, origins, directions, near)
     hit = leave > enter
     if not hit.any():
-        return decided("Disparity", override, False, "No ray meets the box.")
+        return decided("Disparity", override, False, "No ray crosses the box.")
     nearest, farthest = float(np.percentile(enter[hit], 5)), float(np.percentile(leave[hit], 95))
     ratio = farthest / max(nearest, 1e-3)
-    evidence = f"Along the rays the scene lies 1 : {min(ratio, 9999):.1f} near to far (disparity from 1 : {RANGE:g} on)."
+    evidence = f"Along the rays, far / near of the scene is {min(ratio, 9999):.1f} (disparity from {RANGE:g} on)."
     return decided("Disparity", override, ratio >= RANGE, evidence, ratio, RANGE)
 
 
@@ -205,12 +205,12 @@ def sampling(
     """
     if settings.sampler == "packed":
         filled = share_filled(domain, alive, origins, directions, near)
-        evidence = f"The first occupancy leaves {100 * filled:.0f} % of the rays' way; packed samples stand nowhere else, whatever it is."
+        evidence = f"{100 * filled:.0f} % of the rays' length lies in cells that may be occupied; packed samples lie only there."
         return Decision("Hierarchical sampling", False, evidence, filled)
     enter, leave = clip_rays(domain, origins, directions, near)
     way = float(np.percentile(np.maximum(leave - enter, 0), 95))
     needed = way / settings.spacing
-    evidence = f"Rays go up to {way:.2f} through the domain, {needed:.0f} times the final spacing; {settings.coarse} samples are even."
+    evidence = f"Rays cross the domain for up to {way:.2f}, {needed:.0f} times the final spacing; there are {settings.coarse} even samples."
     return decided("Hierarchical sampling", settings.hierarchy, needed > settings.coarse, evidence, needed, settings.coarse)
 
 

@@ -8,11 +8,13 @@ from .dataset import SNERG_PT_dataset
 from .export import SNERG_PT_export
 from .field import SNERG_PT_field
 from .main import SNERG_PT_main
+from .preferences import SNERG_AP_preferences
 from .preview import SNERG_PT_preview
 from .scene_object import SNERG_PT_object
 from .study import SNERG_PT_study
 
 CLASSES = (
+    SNERG_AP_preferences,
     SNERG_PT_main,
     SNERG_PT_dataset,
     SNERG_PT_field,

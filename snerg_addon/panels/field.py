@@ -9,10 +9,10 @@ from typing import Any
 import bpy
 
 from ...operators.train import unfinished
-from .. import activity
+from .. import activity, training_python
 from ..curve import Curve, curve_of
 from ..project import Project, project_of
-from .layout import LINE_WIDTH, StepPanel, decibels, draw_box, joined, megabytes
+from .layout import LINE_WIDTH, StepPanel, decibels, draw_box, draw_sentence, joined, megabytes
 from .versions import draw_versions, made_with
 
 
@@ -27,6 +27,8 @@ class SNERG_PT_field(StepPanel, bpy.types.Panel):
         """The settings, the buttons, the training curve, and the versions."""
         project = project_of(context.scene)
         draw_settings(layout, settings)
+        if answer := training_python.devices():
+            draw_sentence(layout.column(align=True), f"Another Python trains. {answer.text}", answer.icon)
         layout.operator("snerg.train", icon="PLAY", text="Continue Training" if can_continue(context.scene) else "Train Field")
         layout.operator("snerg.import_field", icon="IMPORT")
         if curve := curve_of(shown_training(project)):

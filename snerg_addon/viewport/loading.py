@@ -27,7 +27,7 @@ _known: dict[Path, Loaded] = {}
 
 def loaded(folder: Path) -> Loaded:
     """What is known of the scene in a folder; the first time it begins to be read. Never raises."""
-    stamp = _stamp(folder)
+    stamp = stamp_of(folder)
     found = _known.get(folder)
     if found is None or found.stamp != stamp:
         found = Loaded(stamp, found.scene if found is not None and stamp else None)  # shown until the new one is read
@@ -71,7 +71,7 @@ def forget() -> None:
     _known.clear()
 
 
-def _stamp(folder: Path) -> int:
+def stamp_of(folder: Path) -> int:
     """Another number when the folder's files were written again, 0 where it has none."""
     for name in ("scene.json", "scene_params.json", "scene/scene.json"):
         try:
@@ -79,6 +79,11 @@ def _stamp(folder: Path) -> int:
         except OSError:
             continue
     return 0
+
+
+def has_scene(folder: Path) -> bool:
+    """Whether a folder has the file that each baked scene has; not whether that can be read."""
+    return stamp_of(folder) != 0
 
 
 def _read(folder: Path, entry: Loaded) -> None:

@@ -94,8 +94,7 @@ def test_the_box_the_dataset_and_the_view_are_set(scene, tmp_path):
 
 
 def test_one_undo_takes_it_back(scene, tmp_path):
-    """The scene is changed all at once, by an operator that Blender can undo."""
-    assert "UNDO" in bpy.types.SNERG_OT_import_dataset.bl_options
+    """The scene is changed all at once, when the dataset is read; a dataset that cannot be read changes nothing."""
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "collections", "cameras", "images")}
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "transforms.json").write_text("{}")
@@ -103,6 +102,12 @@ def test_one_undo_takes_it_back(scene, tmp_path):
         bpy.ops.snerg.import_dataset(filepath=str(tmp_path / "broken"))
     assert before == {kind: len(getattr(bpy.data, kind)) for kind in before}
     assert scene.snerg.dataset == ""
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.snerg.import_dataset(filepath=str(write_capture(tmp_path / "capture")))
+    bpy.ops.ed.undo()
+    assert before == {kind: len(getattr(bpy.data, kind)) for kind in before}
+    bpy.ops.ed.redo()
+    assert len(bpy.data.cameras) == before["cameras"] + 9 and bpy.context.scene.snerg.box is not None
 
 
 def test_what_blender_cannot_show_is_said(scene, tmp_path, capfd):

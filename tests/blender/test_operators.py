@@ -61,7 +61,8 @@ def test_rendering_without_cameras_or_box_is_refused(scene):
 def started(monkeypatch, name: str) -> list[str]:
     """The command line that an operator would start."""
     module = importlib.import_module(f"snerg.operators.{name}")
-    monkeypatch.setattr(module, "start_command", lambda arguments: arguments)
+    for starter in ("start_command", "start_training"):
+        monkeypatch.setattr(module, starter, lambda arguments: arguments, raising=False)
     return getattr(module, f"SNERG_OT_{name}").start(None, bpy.context, project_of(bpy.context.scene))
 
 

@@ -108,7 +108,7 @@ def test_a_bake_takes_no_object_of_a_training_and_leaves_the_artists_own(trainin
     baked = project_of(scene).new_version("scene")
     write_scene(make_snerg((34, 30, 40), diffuse=True, fog=False), baked)
     mine = make(cached(folder), tmp_path / "mine", scene.collection, "Mine")
-    bake = show_scene(scene, project_of(scene), baked)
+    bake = show_scene(scene, project_of(scene), baked, baked)
     assert not bake.snerg.temporary and folder_of(bake) == baked
     kill(running.task)
     watch.tick()

@@ -62,7 +62,7 @@ def test_a_project_of_an_earlier_snerg_has_its_field_and_scene_as_versions(scene
 
 
 def test_training_over_a_field_that_is_finished_makes_another(scene, monkeypatch):
-    monkeypatch.setattr(train, "start_command", lambda arguments: arguments)
+    monkeypatch.setattr(train, "start_training", lambda arguments: arguments)
     project = project_of(scene)
     first = a_version(project, "field", 30.0)
     arguments = train.SNERG_OT_train.start(None, bpy.context, project)
@@ -72,7 +72,7 @@ def test_training_over_a_field_that_is_finished_makes_another(scene, monkeypatch
 
 
 def test_a_bake_says_which_field_and_settings_it_is_of(scene, monkeypatch):
-    monkeypatch.setattr(bake, "start_command", lambda arguments: arguments)
+    monkeypatch.setattr(bake, "start_training", lambda arguments: arguments)
     project = project_of(scene)
     project.rename(a_version(project, "field", 30.0), "Sofa")
     arguments = bake.SNERG_OT_bake.start(None, bpy.context, project)

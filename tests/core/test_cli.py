@@ -394,7 +394,7 @@ def test_notes_stay_on_the_screen(tty):
     screen = Screen(tty)
     progress = Terminal(screen)
     progress(0.1, "Step 1")
-    progress(0.1, Note("NDC: no. The cameras look at it from around."))
+    progress(0.1, Note("NDC: no. The cameras surround the scene."))
     progress(0.1, Note("Alpha: yes."))
     progress(0.2, "Step 2")
     progress.end()

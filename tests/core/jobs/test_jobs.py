@@ -122,7 +122,7 @@ def test_cancel_is_heard(tmp_path):
 
 
 def test_a_stubborn_job_ends_itself(tmp_path):
-    child = job("progress.grace_seconds = 0.3\nprogress(0, 'working'); time.sleep(60)").begin(tmp_path, {})
+    child = job("progress(0, 'working'); time.sleep(60)").begin(tmp_path, {})
     until(lambda: works(child))
     child.cancel()
     with pytest.raises(Cancelled, match="not yet saved is lost"):
@@ -141,7 +141,7 @@ def test_a_crash_ends_in_a_sentence():
 
 
 def test_a_job_that_is_stopped_after_its_result_has_a_result(tmp_path):
-    work = "progress.grace_seconds = 0.2\nimport atexit; atexit.register(time.sleep, 60); progress(0.5, 'working')\nreturn {'psnr': 30.0}"
+    work = "import atexit; atexit.register(time.sleep, 3); progress(0.5, 'working')\nreturn {'psnr': 30.0}"
     child = job(work).begin(tmp_path, {})
     until(lambda: '"result"' in (tmp_path / "jobs" / child.folder.name / folders.EVENTS).read_text())
     child.cancel()

@@ -80,7 +80,7 @@ def test_settings_override_what_is_measured_but_not_what_is_possible():
     assert decision.overridden and not decision.chosen and ndc is None
     decision, ndc = decisions.forward_facing("on", facing(), None, bounds(2, 3), False)
     assert decision.overridden and decision.chosen and ndc is not None
-    with pytest.raises(SnergError, match="from around"):
+    with pytest.raises(SnergError, match="surround"):
         decisions.forward_facing("on", around(), None, bounds(2, 20), False)
 
 
