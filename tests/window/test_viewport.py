@@ -50,6 +50,22 @@ def test_meshes_stand_before_and_behind(blender):
             assert np.abs(shown - COLOURS[name]).max() < 40, f"{kind}: {name} is {shown}"
 
 
+def test_a_folder_that_is_written_again_is_shown_whole(blender):
+    values = np.zeros((30, 30, 30, 4), np.uint8)
+    values[2:-2, 2:-2, 2:-2] = (0, 255, 0, 255)
+    pose = np.eye(4)
+    pose[:3, 3] = -0.5
+    folder = OUT / "rewritten scene"
+    shutil.rmtree(folder, ignore_errors=True)
+    write_scene(snerg_from_volume(values, None, grid_to_world=pose, voxel_size=1 / 30), folder)
+    seen = blender.walk("rewritten", folder)
+    x, y = (int(value) for value in seen["middle"])
+    for count in range(8):
+        with Image.open(blender.folder("rewritten") / f"{count}.png") as opened:
+            shown = np.asarray(opened.convert("RGB")).astype(int)[y - 60 : y + 60, x]
+        assert np.abs(shown - 255 * np.eye(3)[count % 3]).max() < 40, f"Picture {count} shows {shown.min(axis=0)} to {shown.max(axis=0)}"
+
+
 def test_a_training_is_shown_as_it_grows_and_not_afterwards(blender, photos):
     seen = blender.walk("shown_training", photos)
     assert all(seen[f"shown {count}"] for count in range(3)) and seen["objects"] == 1, seen

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -137,3 +138,24 @@ def preview_seen(window: Window, folder: str) -> Walk:
     yield from window.until(lambda: not window.busy(), 60)
     yield from window.wait(1)
     note()
+
+
+def rewritten(window: Window, folder: str) -> Walk:
+    """An object whose folder is written again and again, each time in another colour; where on the picture its middle is."""
+    files = part("core.export.scene_files")
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    window.operator("add_scene", directory=folder)
+    bpy.context.object.select_set(False)
+    space, region = window.view.spaces[0], next(r for r in window.view.regions if r.type == "WINDOW")
+    space.overlay.show_overlays = False
+    space.region_3d.view_location, space.region_3d.view_distance = (0, 0, 0), 3
+    scene = files.read_scene(Path(folder))
+    for count in range(8):
+        cells = scene.cells.copy()
+        cells[..., :3] = np.where(cells[..., 3:] > 0, np.eye(3, dtype=np.uint8)[count % 3] * 255, 0)
+        files.write_scene(replace(scene, cells=cells), Path(folder))
+        space.region_3d.view_distance = 3  # draws the view again
+        yield from window.wait(2)
+        window.shoot(str(count))
+    window.seen["middle"] = [region.x + region.width / 2, window.window.height - region.y - region.height / 2]
