@@ -22,9 +22,8 @@ Colour = tuple[float, float, float]
 def build(folder: Path) -> bpy.types.Object:
     """Empty the scene, and put the baked scene among meshes: a ring that passes through it, a slab behind and a cone in front. Returns the
     baked scene's object, selected and active."""
+    empty()
     scene = bpy.context.scene
-    for thing in list(bpy.data.objects):
-        bpy.data.objects.remove(thing)
     bpy.ops.mesh.primitive_torus_add(major_radius=0.92, minor_radius=0.05, major_segments=96, minor_segments=24, location=(0, 0, 0.3))
     bpy.context.object.rotation_euler = (0.5, 0.25, 0)
     _colour("Ring", (0.28, 0.08, 0.5))
@@ -43,6 +42,12 @@ def build(folder: Path) -> bpy.types.Object:
     render.resolution_x, render.resolution_y, render.resolution_percentage = *SIZE, 100
     bpy.ops.snerg.add_scene(directory=str(folder))
     return bpy.context.object
+
+
+def empty() -> None:
+    """Remove all objects."""
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
 
 
 def _colour(name: str, colour: Colour) -> None:

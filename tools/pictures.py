@@ -90,6 +90,8 @@ def object_pictures(blender: Blender) -> None:
         picture = Image.open(WORK / "live" / f"{name}.png").convert("RGB").crop(rectangle)
         size = (LIVE_WIDTH, picture.height * LIVE_WIDTH // picture.width)
         write(picture.resize(size, Image.Resampling.LANCZOS), OUT / f"object-{name}.webp")
+    photograph(blender, "growing", DEMO / "dataset")
+    write(growing(), OUT / "object-growing.webp")
     rendered, volume = WORK / "rendered", WORK / "volume.vdb"
     shutil.rmtree(rendered, ignore_errors=True)
     rendered.mkdir()
@@ -100,6 +102,18 @@ def object_pictures(blender: Blender) -> None:
     subprocess.run([sys.executable, str(script), str(DEMO / "scene"), str(volume), str(rendered)], check=True)
     for name in ("f12", "composite", "volume"):
         write(Image.open(rendered / f"{name}.png").convert("RGB"), OUT / f"object-{name}.webp")
+
+
+def growing() -> Image.Image:
+    """The previews of a training side by side."""
+    folder = WORK / "growing"
+    crop = json.loads((folder / "growing.json").read_text())["crop"]
+    pictures = [Image.open(path).convert("RGB").crop(crop) for path in sorted(folder.glob("growing-*.png"))]
+    side = LIVE_WIDTH // len(pictures)
+    strip = Image.new("RGB", (side * len(pictures), side))
+    for index, picture in enumerate(pictures):
+        strip.paste(picture.resize((side, side), Image.Resampling.LANCZOS), (index * side, 0))
+    return strip
 
 
 def photograph(blender: Blender, walk: str, file: Path) -> None:
