@@ -41,7 +41,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
         if old is not None:
             bpy.data.images.remove(old)
         image = bpy.data.images.load(str(folder / "contact.png"))
-        image.name = STUDY
+        image.name, image.use_fake_user = STUDY, True
         remember(project, "study", folder, result)
         return f"Measured {result['configurations']} configurations; the report is {result['report']}"
 

@@ -16,7 +16,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, saving, steps, training_python
+from ..snerg_addon import activity, saving, steps, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
 from .task_operator import TaskOperator, redraw, remember_for_undo
@@ -38,6 +38,7 @@ def tick() -> float:
             _stale = steps.follow(windows[0].scene) or _stale
         for running in activity.current():
             follow(running)
+        training_object.show_trainings()
         if _stale or activity.current():
             _stale = not redraw()
     except Exception:  # Blender never calls a timer again that raised, and no task would end any more
@@ -81,6 +82,7 @@ def follow(running: Activity) -> None:
     activity.end(running)
     if isinstance(task, Job) and task.folder is not None:
         shutil.rmtree(task.folder / folders.INPUT, ignore_errors=True)  # left there by a job that was killed
+        training_object.discard_preview(running)
         if not folders.take(task.folder):
             return
     if task.state == "done":
@@ -164,4 +166,5 @@ def unregister() -> None:
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
+    training_object.remove_all()
     activity.stop()

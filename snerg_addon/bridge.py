@@ -200,7 +200,33 @@ def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
     image.pixels.foreach_set(rgba[::-1].ravel())  # Blender stores the bottom row first
     image.update()
     image.pack()  # else it would be lost with the session, and Blender would ask to save it
+    image.use_fake_user = True  # else it would not be saved while no editor shows it
     return image
+
+
+def image_editor(image: bpy.types.Image | None) -> tuple[bpy.types.Window, bpy.types.Area] | None:
+    """The first image editor that shows an image, or that shows none where `image` is None, and its window."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and area.ui_type == "IMAGE_EDITOR" and area.spaces.active.image == image:
+                return window, area
+    return None
+
+
+def show_image(image: bpy.types.Image) -> None:
+    """Show an image: where it is shown already, else in an image editor that shows none, else in a window of its own."""
+    if image_editor(image) is not None:
+        return
+    found = image_editor(None)
+    if found is None:
+        manager = bpy.context.window_manager
+        before = set(manager.windows)
+        with bpy.context.temp_override(window=manager.windows[0]):
+            bpy.ops.wm.window_new()
+        (window,) = set(manager.windows) - before
+        found = window, window.screen.areas[0]
+        found[1].ui_type = "IMAGE_EDITOR"
+    found[1].spaces.active.image = image
 
 
 def _byte_image(name: str, width: int, height: int) -> Any:

@@ -170,6 +170,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=0,
         soft_max=100000,
     )
+    show_training: BoolProperty(
+        name="Show While Training",
+        description="Show the field so far in the viewport, baked coarsely now and then. This takes up to 4 % of the training's time",
+        default=True,
+    )
     seed: IntProperty(name="Seed", description="Random seed of the training: the same seed and steps give the same field", default=0, min=0)
 
     box: PointerProperty(

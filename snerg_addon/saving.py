@@ -28,6 +28,7 @@ from .owner import (
     write_owner,
 )
 from .scene_object import absolute, folder_of, is_own, is_snerg_object, own_objects, same_folders
+from .training_object import remove_all, undone
 from .viewport.loading import has_scene
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
@@ -112,7 +113,9 @@ def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
 
 @persistent
 def after_loading(*_unused: Any) -> None:
-    """Another file was opened: move its projects that are still waiting to be moved, as after a crash."""
+    """Another file was opened: move its projects that are still waiting to be moved, as after a crash. A file that was saved while a
+    training ran has the training's object, which the timer makes again if the training still runs."""
+    remove_all()
     _failed_moves.clear()
     _rewritten.clear()
     move_saved_projects()
@@ -139,13 +142,14 @@ def before_undo(*_unused: Any) -> None:
 
 @persistent
 def after_undo(*_unused: Any) -> None:
-    """Restore the project settings that undo took away, so that a scene keeps its project."""
+    """Restore the project settings that undo took away, so that a scene keeps its project; show trainings again."""
     for scene in local_scenes():
         project_id, folder = _settings_before_undo.get(scene.session_uid, ("", ""))
         if project_id:
             scene.snerg.project_id = project_id
             if bpy.data.filepath and not scene.snerg.folder:
                 scene.snerg.folder = folder
+    undone()
     for thing in own_objects():
         follow_saving(thing)
 

@@ -66,6 +66,7 @@ class SNERG_PG_object(bpy.types.PropertyGroup):
         size=3,
         subtype="XYZ_LENGTH",
     )
+    temporary: bpy.props.BoolProperty(options={"HIDDEN"})  # type: ignore[valid-type]  # see training_object.py
     baked_at: bpy.props.FloatVectorProperty(size=16, default=np.eye(4).ravel().tolist(), options={"HIDDEN"})  # type: ignore[valid-type]
 
 
@@ -87,7 +88,8 @@ def show_scene(scene: bpy.types.Scene, project: Project, folder: Path, before: P
         baked = cached(folder)
     except SnergError:
         return None
-    ours = [thing for thing in own_objects() if folder_of(thing).is_relative_to(project.folder)]
+    lasting = [thing for thing in own_objects() if not thing.snerg.temporary]
+    ours = [thing for thing in lasting if folder_of(thing).is_relative_to(project.folder)]
     followers = [thing for thing in ours if folder_of(thing) == before] or ours
     for thing in followers:
         point_at(thing, baked, folder)

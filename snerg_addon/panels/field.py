@@ -34,6 +34,7 @@ class FieldStep(Step):
         draw_presets(layout, context)
         layout.prop(settings, "minutes")
         layout.prop(settings, "view_dependence")
+        layout.prop(settings, "show_training")
         draw_advanced(layout, settings)
         if answer := training_python.devices():
             draw_sentence(layout.column(align=True), f"Another Python trains. {answer.text}", answer.icon)

@@ -33,6 +33,9 @@ class SNERG_PT_object(bpy.types.Panel):
         """The folder, what is wrong with it, and what the scene holds."""
         layout, thing = self.layout, context.object
         layout.use_property_split = True
+        if thing.snerg.temporary:
+            draw_sentence(layout, "The training so far, baked coarsely. It goes away when the training ends; a bake stays", "INFO")
+            return
         row = layout.row()
         row.enabled = is_own(thing)  # an override would lose another folder when the file is opened again
         row.prop(thing.snerg, "folder")

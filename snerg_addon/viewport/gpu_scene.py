@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import gpu
@@ -15,16 +16,18 @@ from . import shader
 COARSE = 4  # voxels along an axis of a coarse voxel, the unit of skipping within a cell
 COARSE_CELL = CELL_VOXELS // COARSE
 SIDES = (16, 32)  # cells along the side of a page that are tried: few pages, since a sample asks for its page by comparing with each
+_numbers = itertools.count()
 
 
 class GpuScene:
-    """Textures and shader of a scene. bytes: what they take of the card's memory.
+    """Textures and shader of a scene. bytes: what they take of the card's memory. number: no other one has had it; an identity is given
+    again when its owner is gone.
 
     Raises ValueError when the card has no room for so many cells.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        self.scene, self.number = scene, next(_numbers)
         kinds = 2 if scene.network is None else 3
         self.page_cells, self.layout = layout(len(scene.cells), (gpu.capabilities.max_textures_frag_get() - 1) // kinds)
         self.pages = max(1, -(-len(scene.cells) // self.page_cells))
