@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-grid fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -51,6 +51,10 @@ bench-train: setup
 # FIELD=FOLDER: a trained field (default: one of the demo's scene). DATA=FOLDER: its dataset. ROWS=bake,preview: only those.
 bench-grid: setup
 	$(PY) bench/grid.py $(if $(FIELD),--field "$(FIELD)") $(if $(DATA),--data "$(DATA)") $(if $(ROWS),--rows "$(ROWS)")
+
+# BLENDER=/path/to/blender and BROWSER=/path/to/chromium, on the same OpenGL: the viewport's frame time against the web viewer's.
+bench-viewport: setup
+	$(PY) bench/viewport.py --blender "$(BLENDER)" --browser "$(BROWSER)"
 
 # FIELDS="FIELD ...": of which to compare estimates with measurements and refit the cost model (default: those of bench-train).
 bench-estimate: setup

@@ -2,39 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from typing import Any
 
 
 def classes() -> tuple[type[Any], ...]:
-    """Every operator, for registration. Imported here, because the package must import without Blender."""
-    from . import (
-        add_box,
-        add_scene,
-        ask_python,
-        bake,
-        cancel,
-        composite,
-        estimate,
-        export_scene,
-        export_vdb,
-        export_web,
-        import_dataset,
-        import_field,
-        import_scene,
-        open_folder,
-        pack_scene,
-        preview,
-        proxy,
-        quit,
-        render_dataset,
-        study,
-        train,
-        versions,
+    """Every operator of the files beside this one, for registration. Imported here, because the package must import without Blender."""
+    modules = [importlib.import_module(f"{__name__}.{found.name}") for found in pkgutil.iter_modules(__path__)]
+    return tuple(
+        value
+        for module in modules
+        for name, value in vars(module).items()
+        if name.startswith("SNERG_OT_") and value.__module__ == module.__name__
     )
-
-    modules = (
-        *(render_dataset, import_dataset, train, import_field, import_scene, add_box, estimate, bake, add_scene, preview, study),
-        *(composite, proxy),
-        *(export_scene, export_web, export_vdb, pack_scene, versions, cancel, quit, open_folder, ask_python),
-    )
-    return tuple(value for module in modules for name, value in vars(module).items() if name.startswith("SNERG_OT_"))

@@ -9,6 +9,8 @@ import bpy
 from ..core.io.files import json_bytes, write_bytes
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_of
+from ..snerg_addon.capture import evaluated
+from ..snerg_addon.originals import originals_of
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.render_evaluation import evaluated_box
 from ..snerg_addon.scene_object import show_scene
@@ -23,6 +25,7 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
     bl_label = "Bake"
     bl_options = {"REGISTER"}
     step, label = "bake", "Baking"
+    changes_file = True
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
@@ -37,12 +40,20 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
         """Record the new version and put it in use. Warns where the box holds nothing."""
         about = result.get("about", {})
         quality = about.get("refine", {}).get("psnr_after")
-        folder = project.version_made("scene", result["path"])
+        before, folder = project.scene, project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
-        show_scene(scene, project, folder)
+        made = show_scene(scene, project, folder, before)
         if warning := about.get("bake", {}).get("warning"):
             self.report({"WARNING"}, warning)
-        return f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"
+        sentence = f"Baked the scene{f' at {quality:.1f} dB' if quality else ''}; it is in {folder}"
+        return sentence if made is None else sentence + hint(made, scene)
+
+
+def hint(made: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """What to do about the objects that a new SNeRG object stands among, a sentence; '' where there are none."""
+    found = originals_of(made, scene, evaluated(scene))
+    count = len(found.inside) + len(found.reaching) + len(found.linked)
+    return f". {made.name!r} stands where what was baked still is; Hide Originals in its Object tab hides that" if count else ""
 
 
 def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:

@@ -26,20 +26,25 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
     needs = "scene"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
-        """The command `bundle` with the current cameras."""
-        settings = context.scene.snerg
-        arguments = ["bundle", str(project.scene), "--out", str(project.web)]
-        if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs no camera
-            cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
-            write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
-            arguments += ["--cameras", str(project.cameras)]
-        if settings.codec != "scene":
-            arguments += ["--codec", settings.codec]
-        if settings.codec in LOSSY:
-            arguments += ["--quality", str(settings.quality)]
-        return start_command([*arguments, "--single-file"] if settings.single_file else arguments)
+        """The command `bundle`."""
+        return start_command(web_arguments(context, project))
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the export."""
         remember(project, "web", project.web, result)
         return f"Exported the web page to {project.web}"
+
+
+def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
+    """The command line of the export. Writes the current cameras to the project."""
+    settings = context.scene.snerg
+    arguments = ["bundle", str(project.scene), "--out", str(project.web)]
+    if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs no camera
+        cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
+        write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
+        arguments += ["--cameras", str(project.cameras)]
+    if settings.codec != "scene":
+        arguments += ["--codec", settings.codec]
+    if settings.codec in LOSSY:
+        arguments += ["--quality", str(settings.quality)]
+    return [*arguments, "--single-file"] if settings.single_file else arguments

@@ -10,8 +10,11 @@ import bpy
 import numpy as np
 
 from ..core.data.dataset import Dataset, DatasetOptions, View
+from ..core.data.image_resolver import find_image
 from ..core.data.load import read_dataset
+from ..core.data.readers.transforms import read_cameras
 from ..core.geometry.camera import Camera
+from ..core.io.files import read_json
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
@@ -28,8 +31,10 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER"}
     step, label = "dataset", "Importing the dataset"
+    kinds = ("dataset",)
+    changes_file = True
     key, noun = "dataset", "dataset"
     accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
 
@@ -37,30 +42,54 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         """Read the dataset in a thread. Only `finish` changes the scene, so that one undo removes it all."""
         path, settings = self.path(), context.scene.snerg
         options = DatasetOptions(settings.test_every, settings.downscale)
-        return ThreadTask(lambda progress: {"path": path, "parts": read_splits(path, options, progress)})
+        return ThreadTask(lambda progress: {"path": path, **read_splits(path, options, progress)})
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Add the cameras, the points and the box to the scene, and make the dataset the one to train on."""
         parts: list[Dataset] = result["parts"]
-        add_dataset(parts, scene, result["path"].stem)
+        bare: dict[str, tuple[Camera, ...]] = result["bare"]
+        add_dataset(parts, bare, scene, result["path"].stem)
         scene.snerg.dataset = blend_path(result["path"])
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
-        return " ".join([f"Imported {views} from {result['path']}.", *limitations([v.camera for p in parts for v in p.views])])
+        alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
+        every = [view.camera for part in parts for view in part.views]
+        return " ".join([f"Imported {views} from {result['path']}.", *alone, *limitations(every)])
 
 
-def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> list[Dataset]:
-    """Every split of a dataset, the training views first. Raises SnergError where one cannot be read."""
+def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict[str, Any]:
+    """{"parts": every split of a dataset, the training views first, "bare": the cameras of splits without any picture, by their names}.
+
+    Raises SnergError where the training views, or another split that has pictures, cannot be read.
+    """
     progress(0.0, "Reading the training views")
-    parts = [read_dataset(path, "train", options)]
-    names = [name for name in parts[0].splits() if name != "train"]
+    parts, bare = [read_dataset(path, "train", options)], bare_splits(path)
+    names = [name for name in parts[0].splits() if name != "train" and name not in bare]
     for index, name in enumerate(names):
         progress((index + 1) / (len(names) + 1), f"Reading the {TITLES.get(name, name).lower()}")
         parts.append(read_dataset(path, name, options))
-    return parts
+    return {"parts": parts, "bare": bare}
 
 
-def add_dataset(parts: list[Dataset], scene: bpy.types.Scene, name: str) -> None:
-    """Add a collection with the cameras of each split and the points, and the box. The scene takes the most common resolution."""
+def bare_splits(path: Path) -> dict[str, tuple[Camera, ...]]:
+    """The cameras of each transforms_<split>.json of the folder `path`, but for training, that lists no picture which exists.
+
+    BlenderNeRF, for one, writes test cameras without pictures. Raises SnergError where such a file is damaged.
+    """
+    found = {}
+    for file in sorted(path.glob("transforms_*.json")):
+        split, value = file.stem.removeprefix("transforms_"), read_json(file)
+        frames = value.get("frames") if isinstance(value, dict) else None
+        names = [str(frame.get("file_path")) for frame in frames if isinstance(frame, dict)] if isinstance(frames, list) else [""]
+        if split != "train" and not any(find_image(path, name, str(file)) for name in names):
+            found[split] = read_cameras(file) if names else ()
+    return found
+
+
+def add_dataset(parts: list[Dataset], bare: dict[str, tuple[Camera, ...]], scene: bpy.types.Scene, name: str) -> None:
+    """Add a collection with the cameras of each split and the points, and the box. The scene takes the most common resolution.
+
+    bare: cameras of splits without pictures.
+    """
     first, top = parts[0], bpy.data.collections.new(name)
     scene.collection.children.link(top)
     set_picture(scene, most_common([view.camera for part in parts for view in part.views]))
@@ -72,6 +101,11 @@ def add_dataset(parts: list[Dataset], scene: bpy.types.Scene, name: str) -> None
         cameras = [add_view(view, group, scene, middle) for view in part.views]
         if part is first:
             scene.camera = cameras[0]
+    for split, alone in bare.items():
+        group = bpy.data.collections.new(TITLES.get(split, split))
+        top.children.link(group)
+        for camera in alone:
+            add_camera(camera, camera.name, group, middle)
     if first.points is not None and len(first.points):
         add_points("Points", first.points, first.colours, top)
     add_box(box, scene)
@@ -79,13 +113,18 @@ def add_dataset(parts: list[Dataset], scene: bpy.types.Scene, name: str) -> None
 
 def add_view(view: View, collection: bpy.types.Collection, scene: bpy.types.Scene, middle: np.ndarray) -> bpy.types.Object:
     """Add a camera with its image as the background. middle: the box's centre [3]."""
-    name = Path(view.camera.name).stem or view.image.stem
+    camera = add_camera(view.camera, Path(view.camera.name).stem or view.image.stem, collection, middle)
+    add_background(camera, view.image, scene, (view.camera.width, view.camera.height))
+    return camera
+
+
+def add_camera(source: Camera, name: str, collection: bpy.types.Collection, middle: np.ndarray) -> bpy.types.Object:
+    """Add a camera with the pose and the projection of `source`. middle: the box's centre [3]."""
     data = bpy.data.cameras.new(name)
     camera = bpy.data.objects.new(name, data)
     collection.objects.link(camera)
-    set_camera(camera, view.camera)
-    add_background(camera, view.image, scene, (view.camera.width, view.camera.height))
-    data.display_size = max(DISPLAY_SIZE * float(np.linalg.norm(view.camera.position - middle)), 1e-4)
+    set_camera(camera, source)
+    data.display_size = max(DISPLAY_SIZE * float(np.linalg.norm(source.position - middle)), 1e-4)
     return camera
 
 

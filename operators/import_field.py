@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.artifact import FIELDS
 from .import_operator import ImportOperator
 
 
@@ -14,4 +15,5 @@ class SNERG_OT_import_field(ImportOperator, bpy.types.Operator):
     bl_label = "Import Field"
     bl_options = {"REGISTER"}
     step, label = "field", "Importing the field"
+    kinds = FIELDS
     key, noun = "field", "field"

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import bpy
 
+from ..core.artifact import check_kind
 from ..core.errors import SnergError
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
@@ -19,11 +20,13 @@ from .task_operator import TaskOperator
 class ImportOperator(TaskOperator):
     """key: the step of the project that the import fills, and the end of the operator's name. noun: what it imports, in a sentence.
 
-    accepted: a filter for the files that the file browser shows, besides folders.
+    kinds: what it imports, as core.artifact.kind_of names it. accepted: a filter for the files that the file browser shows, besides
+    folders.
     """
 
     key: ClassVar[str]
     noun: ClassVar[str]
+    kinds: ClassVar[tuple[str, ...]]
     accepted: ClassVar[str] = "*"
 
     filepath: bpy.props.StringProperty(
@@ -51,14 +54,17 @@ class ImportOperator(TaskOperator):
         return super().execute(context)
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
-        """The command `import`."""
+        """The command `import`. Raises SnergError, before anything is written, where something of another kind was chosen."""
         return start_command(["import", str(self.path()), "--out", str(project.new_version(self.key))])
 
     def path(self) -> Path:
-        """The file or folder to import. Raises SnergError when none was chosen."""
+        """The file or folder to import; for a file inside a folder of what is imported, that folder.
+
+        Raises SnergError when none was chosen, or something of another kind.
+        """
         if not self.filepath:
             raise SnergError(f"No path was given; choose the {self.noun} to import.")
-        return Path(bpy.path.abspath(self.filepath))
+        return check_kind(Path(bpy.path.abspath(self.filepath)), self.kinds, self.noun)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version and put it in use."""

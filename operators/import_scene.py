@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..core.artifact import SCENES
 from ..snerg_addon.project import Project
 from ..snerg_addon.scene_object import show_scene
 from .import_operator import ImportOperator
@@ -18,10 +19,12 @@ class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
     bl_label = "Import Scene"
     bl_options = {"REGISTER"}
     step, label = "bake", "Importing the scene"
+    kinds = SCENES
+    changes_file = True
     key, noun = "scene", "baked scene"
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version, put it in use, and show it."""
-        sentence = super().finish(scene, project, result)
-        show_scene(scene, project, project.version_made(self.key, result["to"]))
+        before, sentence = project.scene, super().finish(scene, project, result)
+        show_scene(scene, project, project.version_made(self.key, result["to"]), before)
         return sentence

@@ -6,7 +6,7 @@ import bpy
 
 from ..core.errors import SnergError
 from ..snerg_addon import packing
-from ..snerg_addon.scene_object import folder_of
+from ..snerg_addon.scene_object import folder_of, is_own
 from .scene_object_operator import SceneObjectOperator
 
 
@@ -16,7 +16,7 @@ class PackingOperator(SceneObjectOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether the active object shows a baked scene and is the file's own."""
-        return super().poll(context) and context.object.library is None
+        return super().poll(context) and is_own(context.object)
 
 
 class SNERG_OT_pack_scene(PackingOperator, bpy.types.Operator):
@@ -39,7 +39,7 @@ class SNERG_OT_pack_scene(PackingOperator, bpy.types.Operator):
 
 
 class SNERG_OT_unpack_scene(PackingOperator, bpy.types.Operator):
-    """Write the packed scene to its folder where that is gone, and keep no copy in this .blend file any more"""
+    """Write the packed scene to its folder, unless that holds it already, and keep no copy in this .blend file any more"""
 
     bl_idname = "snerg.unpack_scene"
     bl_label = "Unpack Scene"
@@ -49,7 +49,7 @@ class SNERG_OT_unpack_scene(PackingOperator, bpy.types.Operator):
         """Unpack."""
         thing, folder = context.object, folder_of(context.object)
         try:
-            if packing.is_packed(thing) and not folder.is_dir():
+            if packing.is_packed(thing):
                 packing.unpack(thing, folder)
         except SnergError as error:
             self.report({"ERROR"}, str(error))

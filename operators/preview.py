@@ -17,7 +17,7 @@ from ..core.nerf.frame import Frame
 from ..core.progress import Progress
 from ..core.rendering.render import PREVIEW_TOLERANCE, MarchSettings, render_progressively
 from ..core.scene.scene import Scene
-from ..snerg_addon.bridge import write_image
+from ..snerg_addon.bridge import PREVIEW, show_image, write_image
 from ..snerg_addon.project import Project
 from ..snerg_addon.render_evaluation import evaluated_cameras
 from .task_operator import TaskOperator, redraw
@@ -47,9 +47,15 @@ class SNERG_OT_preview(TaskOperator, bpy.types.Operator):
         (camera,) = evaluated_cameras(scene, [scene.camera])
         background = None if scene.snerg.transparent else tuple(scene.snerg.background)
 
+        opened = bpy.app.background or context.preferences.view.render_display_type == "NONE"
+
         def show(frame: Frame) -> None:
+            nonlocal opened
             pixels = frame.straight() if background is None else frame.over(background)
-            show_image(bpy.context, write_image(enlarged(pixels, camera.width, camera.height)))
+            image = write_image(enlarged(pixels, camera.width, camera.height))
+            if not opened:  # once: the artist may close it while the passes come
+                show_image(image)
+                opened = True
             redraw()
 
         return PreviewTask(project, camera, show)
@@ -57,6 +63,24 @@ class SNERG_OT_preview(TaskOperator, bpy.types.Operator):
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Say what was rendered."""
         return "Rendered {width} x {height} pixels from {camera}".format(**result)
+
+
+class SNERG_OT_show_preview(bpy.types.Operator):
+    """Show the image "SNeRG Preview" in an image editor, or in a window of its own"""
+
+    bl_idname = "snerg.show_preview"
+    bl_label = "Show Preview"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Whether there is a preview, and a window to show it in."""
+        return PREVIEW in bpy.data.images and not bpy.app.background
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        """Show it."""
+        show_image(bpy.data.images[PREVIEW])
+        return {"FINISHED"}
 
 
 class PreviewTask(ThreadTask):
@@ -102,12 +126,3 @@ def loaded(project: Project) -> Scene:
     if _loaded is None or _loaded[:2] != (project.scene, stamp):
         _loaded = (project.scene, stamp, read_scene(project.scene))
     return _loaded[2]
-
-
-def show_image(context: bpy.types.Context, image: bpy.types.Image) -> None:
-    """Show the image in the first image editor that shows no other image."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR" and (area.spaces.active.image is None or area.spaces.active.image == image):
-                area.spaces.active.image = image
-                return

@@ -8,17 +8,18 @@ from typing import Any
 import bpy
 
 from ..core.artifact import is_dataset
-from ..core.data.rig import RigSettings, rig_cameras
+from ..core.data.rig import rig_cameras
 from ..core.errors import SnergError
 from ..core.io.files import check_replaceable
 from ..core.jobs.task import StepTask, Task
-from ..snerg_addon.bridge import box_of, resolution
+from ..snerg_addon.bridge import box_of, resolution, rig_settings
 from ..snerg_addon.capture import core_cameras, render_steps, shot_splits, unfinished
 from ..snerg_addon.capture_scene import CaptureSettings
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project, project_of, remember
 from ..snerg_addon.render_evaluation import evaluated_box
 from ..snerg_addon.render_job import render_job
+from ..snerg_addon.render_passes import ENGINES, PASSES, check_passes
 from ..snerg_addon.shots import Moment, Shot
 from .task_operator import TaskOperator
 
@@ -30,6 +31,7 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
     bl_label = "Render Dataset"
     bl_options = {"REGISTER"}
     step, label = "dataset", "Rendering the dataset"
+    changes_file = True
 
     goes_on: bpy.props.BoolProperty(
         name="Resume",
@@ -48,9 +50,10 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
         shot_splits(shots, capture)
         for folder in (project.own_dataset, unfinished(project.own_dataset)):
             check_replaceable(folder)
+        check_passes(capture.passes)
         if bpy.app.background:
             return StepTask(render_steps(scene, shots, project.own_dataset, capture, box, self.goes_on))
-        chosen = rig_settings(context) if settings.cameras == "RIG" else shots
+        chosen = rig_settings(scene) if settings.cameras == "RIG" else shots
         return render_job(scene, chosen, project.own_dataset, capture, box, self.goes_on)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
@@ -60,7 +63,9 @@ class SNERG_OT_render_dataset(TaskOperator, bpy.types.Operator):
         for warning in result.get("warnings", []):
             self.report({"WARNING"}, warning)
         kept = f"; {result['kept']} of them were kept from the run before and show the scene as it was then" if result.get("kept") else ""
-        return f"Rendered {result['train']} views to train on and {result['test']} to test on into {project.own_dataset}{kept}"
+        chosen = scene.snerg.render_depth or scene.snerg.render_normals or scene.snerg.render_light
+        without = "; without passes, which only Cycles and EEVEE give" if chosen and scene.render.engine not in ENGINES else ""
+        return f"Rendered {result['train']} views to train on and {result['test']} to test on into {project.own_dataset}{kept}{without}"
 
 
 class SNERG_OT_use_views(bpy.types.Operator):
@@ -85,7 +90,7 @@ def chosen_shots(context: bpy.types.Context) -> list[Shot]:
     scene, settings = context.scene, context.scene.snerg
     if settings.cameras == "RIG":
         box = evaluated_box(scene, box_of(scene))
-        return list(rig_cameras(box, rig_settings(context), *resolution(scene)))
+        return list(rig_cameras(box, rig_settings(scene), *resolution(scene)))
     cameras = scene_cameras(context, settings.cameras)
     if not settings.over_frames:
         return list(cameras)
@@ -111,13 +116,15 @@ def capture_settings(context: bpy.types.Context) -> CaptureSettings:
         names = ()
     elif held_out is not None and not names:
         raise SnergError(f"The collection {held_out.name!r} of the test cameras holds no camera; choose another under Test Cameras.")
-    return CaptureSettings(settings.test_every, names, settings.view_layer, settings.look == "SCENE")
+    return CaptureSettings(settings.test_every, names, settings.view_layer, settings.look == "SCENE", chosen_passes(context.scene))
 
 
-def rig_settings(context: bpy.types.Context) -> RigSettings:
-    """The rig of the panel's settings."""
-    settings = context.scene.snerg
-    return RigSettings(settings.rig_count, settings.rig_shape == "HEMISPHERE", settings.rig_angle, settings.rig_distance)
+def chosen_passes(scene: bpy.types.Scene) -> tuple[str, ...]:
+    """The passes that the panel's settings choose, in the order of render_passes.PASSES; none where the engine has none."""
+    settings = scene.snerg
+    chosen = {"depth": settings.render_depth, "normal": settings.render_normals}
+    wanted = tuple(name for name in PASSES if chosen.get(name, settings.render_light))
+    return wanted if scene.render.engine in ENGINES else ()
 
 
 def scene_cameras(context: bpy.types.Context, which: str) -> list[bpy.types.Object]:

@@ -24,6 +24,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
     bl_label = "Study"
     bl_options = {"REGISTER"}
     step, label = "study", "Studying"
+    changes_file = True
     needs = "field"
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
@@ -31,18 +32,7 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
 
         Each field, box and resolution has a folder of its own, so that a study only continues measurements of the same.
         """
-        settings = context.scene.snerg
-        arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
-        where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
-        if box := box_to_bake(context, project):
-            where += f"-{zlib.crc32(box):08x}"
-            path = project.studies / f"{where}.json"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, box)
-            arguments += ["--box", str(path)]
-        if settings.target_db:
-            arguments += ["--target-db", f"{settings.target_db:g}"]
-        return start_training([*arguments, "--out", str(project.studies / where)])
+        return start_training(study_arguments(context, project))
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Load the contact sheet as an image, and record where the report is."""
@@ -51,6 +41,22 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
         if old is not None:
             bpy.data.images.remove(old)
         image = bpy.data.images.load(str(folder / "contact.png"))
-        image.name = STUDY
+        image.name, image.use_fake_user = STUDY, True
         remember(project, "study", folder, result)
         return f"Measured {result['configurations']} configurations; the report is {result['report']}"
+
+
+def study_arguments(context: bpy.types.Context, project: Project) -> list[str]:
+    """The command line of the study. Writes the current box beside the study."""
+    settings = context.scene.snerg
+    arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
+    where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
+    if box := box_to_bake(context, project):
+        where += f"-{zlib.crc32(box):08x}"
+        path = project.studies / f"{where}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, box)
+        arguments += ["--box", str(path)]
+    if settings.target_db:
+        arguments += ["--target-db", f"{settings.target_db:g}"]
+    return [*arguments, "--out", str(project.studies / where)]

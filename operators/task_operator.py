@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,6 +25,7 @@ class TaskOperator:
 
     step: the panel that shows the task. label: what the task is called. needs: the step of the project that must be there first.
     queues: whether the task can be started while a job still makes what it needs; it then waits for that job.
+    changes_file: whether `finish` changes the .blend. It is an undo step then; the start of a task is none, hence no UNDO in bl_options.
     """
 
     bl_idname: str
@@ -31,6 +33,7 @@ class TaskOperator:
     label: ClassVar[str]
     needs: ClassVar[str] = ""
     queues: ClassVar[bool] = False
+    changes_file: ClassVar[bool] = False
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """The task: running already, or a job to begin. Raises SnergError where something that it needs is missing."""
@@ -59,7 +62,10 @@ class TaskOperator:
                 task.begin(project.folder, record_of(self, scene), attached=True)
                 assert task.folder is not None
                 folders.take(task.folder)  # this script handles the result, and no window does
-            return self._succeed(self.finish(scene, project, task.wait(_print_progress(self.label))))
+            sentence = self.finish(scene, project, task.wait(_print_progress(self.label)))
+            if self.changes_file:
+                remember_for_undo(self.label)
+            return self._succeed(sentence)
         except SnergError as error:
             return self._fail(error, task)
 
@@ -82,6 +88,14 @@ class TaskOperator:
             print(*task.log, sep="\n", file=sys.stderr)
         self.report({"WARNING" if isinstance(error, Cancelled) else "ERROR"}, str(error))  # type: ignore[attr-defined]
         return {"CANCELLED"}
+
+
+def remember_for_undo(label: str) -> None:
+    """Push an undo step with what a task made."""
+    windows = bpy.context.window_manager.windows
+    with bpy.context.temp_override(window=windows[0]) if windows else nullcontext():
+        if bpy.ops.ed.undo_push.poll():
+            bpy.ops.ed.undo_push(message=label)
 
 
 def launch(operator: TaskOperator, context: bpy.types.Context) -> Activity:

@@ -25,12 +25,13 @@ class SNERG_OT_train(TaskOperator, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """The command `train`."""
-        scene = context.scene
+        scene, settings = context.scene, context.scene.snerg
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
         project.note_settings(out, arguments[arguments.index("--preset") :])
-        return start_training(arguments)
+        shown = settings.show_training and not bpy.app.background
+        return start_training([*arguments, "--preview"] if shown else arguments)
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version with the decisions of the training, and put it in use."""

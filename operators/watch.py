@@ -16,13 +16,14 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, saving, training_python
+from ..snerg_addon import activity, saving, steps, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
-from .task_operator import TaskOperator, redraw
+from .task_operator import TaskOperator, redraw, remember_for_undo
 
 TICK_SECONDS = 0.2  # between two calls of the timer
 IDLE_SECONDS = 1.0  # between two calls while no task runs
+WHOLE_FILE = {"OBJECT", "POSE"}  # the modes in which an undo step holds the whole file
 _stale = False  # whether something changed that is not drawn yet
 
 
@@ -33,8 +34,11 @@ def tick() -> float:
         _stale = training_python.poll() or _stale or bool(activity.current())
         saving.move_saved_projects()
         find()
+        if windows := bpy.context.window_manager.windows:
+            _stale = steps.follow(windows[0].scene) or _stale
         for running in activity.current():
             follow(running)
+        training_object.show_trainings()
         if _stale or activity.current():
             _stale = not redraw()
     except Exception:  # Blender never calls a timer again that raised, and no task would end any more
@@ -69,12 +73,16 @@ def found(job: Job, scene: bpy.types.Scene, project: Path) -> Activity:
 
 def follow(running: Activity) -> None:
     """Poll its task. When the task has ended, finish it and report the outcome."""
-    task = running.task
+    task, operator = running.task, operator_class(running.operator)
     if task.poll():
+        return
+    if task.state == "done" and operator is not None and operator.changes_file and (reason := cannot_undo_now()):
+        task.text = reason
         return
     activity.end(running)
     if isinstance(task, Job) and task.folder is not None:
         shutil.rmtree(task.folder / folders.INPUT, ignore_errors=True)  # left there by a job that was killed
+        training_object.discard_preview(running)
         if not folders.take(task.folder):
             return
     if task.state == "done":
@@ -98,7 +106,7 @@ def take_result(running: Activity) -> tuple[str, bool]:
     except Exception as error:  # a damaged result, or a bug: the panel must not wait for ever
         traceback.print_exc()
         return f"The result could not be used ({type(error).__name__}: {error}); see Blender's console for details.", False
-    if "UNDO" in getattr(operator, "bl_options", ()):
+    if operator.changes_file:
         remember_for_undo(running.label)
     return " ".join([sentence, *finisher.warnings]), not finisher.warnings
 
@@ -126,12 +134,18 @@ def operator_class(name: str) -> Any:
     return next((cls for cls in classes() if issubclass(cls, TaskOperator) and getattr(cls, "bl_idname", None) == name), None)
 
 
-def remember_for_undo(label: str) -> None:
-    """Push an undo step: the one that Blender made for the operator came before the result."""
-    windows = bpy.context.window_manager.windows
-    if windows:
-        with bpy.context.temp_override(window=windows[0]):
-            bpy.ops.ed.undo_push(message=label)
+def cannot_undo_now() -> str:
+    """Why what a task made cannot become an undo step now, a few words; '' where it can.
+
+    A step that Blender takes in Edit Mode holds the mesh alone: an object made then would be lost by undo and not be brought back by redo.
+    """
+    for window in bpy.context.window_manager.windows:
+        active = window.view_layer.objects.active
+        if active is not None and active.mode not in WHOLE_FILE:
+            return "Ready; leave " + active.mode.replace("_", " ").title() + " Mode to get the result"
+        if any(operator.bl_idname.startswith("TRANSFORM_") for operator in window.modal_operators):
+            return "Ready; finish the transform to get the result"
+    return ""
 
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
@@ -152,4 +166,5 @@ def unregister() -> None:
     bpy.types.STATUSBAR_HT_header.remove(draw_status)
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
+    training_object.remove_all()
     activity.stop()

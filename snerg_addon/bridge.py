@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..core.data.rig import RigSettings
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
@@ -167,6 +168,19 @@ def box_from_blender(empty: bpy.types.Object | None, depsgraph: bpy.types.Depsgr
         raise SnergError(f"{empty.name}: {error}") from error
 
 
+def size_text(empty: bpy.types.Object, scene: bpy.types.Scene) -> str:
+    """'2 m x 1.5 m x 0.8 m': the sides of the box that a cube empty shows, in the scene's units."""
+    unit = scene.unit_settings
+    sizes = [2 * abs(side) * empty.empty_display_size * unit.scale_length for side in empty.matrix_world.to_scale()]
+    return " x ".join(bpy.utils.units.to_string(unit.system, "LENGTH", size, precision=3) for size in sizes)
+
+
+def rig_settings(scene: bpy.types.Scene) -> RigSettings:
+    """The rig of the panel's settings."""
+    settings = scene.snerg
+    return RigSettings(settings.rig_count, settings.rig_shape == "HEMISPHERE", settings.rig_angle, settings.rig_distance)
+
+
 def set_box(empty: bpy.types.Object, box: Box) -> None:
     """Set an empty to show a box as a cube."""
     empty.empty_display_type, empty.empty_display_size = "CUBE", 1.0
@@ -186,7 +200,33 @@ def write_image(pixels: np.ndarray, name: str = PREVIEW) -> bpy.types.Image:
     image.pixels.foreach_set(rgba[::-1].ravel())  # Blender stores the bottom row first
     image.update()
     image.pack()  # else it would be lost with the session, and Blender would ask to save it
+    image.use_fake_user = True  # else it would not be saved while no editor shows it
     return image
+
+
+def image_editor(image: bpy.types.Image | None) -> tuple[bpy.types.Window, bpy.types.Area] | None:
+    """The first image editor that shows an image, or that shows none where `image` is None, and its window."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "IMAGE_EDITOR" and area.ui_type == "IMAGE_EDITOR" and area.spaces.active.image == image:
+                return window, area
+    return None
+
+
+def show_image(image: bpy.types.Image) -> None:
+    """Show an image: where it is shown already, else in an image editor that shows none, else in a window of its own."""
+    if image_editor(image) is not None:
+        return
+    found = image_editor(None)
+    if found is None:
+        manager = bpy.context.window_manager
+        before = set(manager.windows)
+        with bpy.context.temp_override(window=manager.windows[0]):
+            bpy.ops.wm.window_new()
+        (window,) = set(manager.windows) - before
+        found = window, window.screen.areas[0]
+        found[1].ui_type = "IMAGE_EDITOR"
+    found[1].spaces.active.image = image
 
 
 def _byte_image(name: str, width: int, height: int) -> Any:

@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from ..core.progress import Progress, silent
 from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene, colour_settings, layer_warning
 from .render_evaluation import render, temporary_camera
+from .render_passes import check_passes, enable_light, file_extra, frame_extra, pass_files, write_passes
 from .shots import Shot, camera_of, evaluated_shots, frame_of, listed
 from .view_check import mismatch, why_clear
 
@@ -41,7 +42,7 @@ def render_dataset(
     progress: Progress = silent,
     resume: bool = True,
 ) -> dict[str, Any]:
-    """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json.
+    """Render every shot into the dataset `folder`: train/, test/, transforms_train.json, transforms_test.json, and a folder of each pass.
 
     shots: camera objects, such at frames, or core cameras. box: recorded as the dataset's box. resume: see `render_steps`.
     Returns {"train", "test": number of views, "width", "height": pixels}, and where there are any "kept": views reused from an earlier
@@ -75,6 +76,7 @@ def render_steps(
     the same; else it starts again.
     """
     settings = settings or CaptureSettings()
+    check_passes(settings.passes)
     cameras, warnings = evaluated_shots(scene, shots)
     splits = shot_splits(shots, settings)
     check_replaceable(folder)
@@ -85,13 +87,14 @@ def render_steps(
     for index, (shot, camera) in enumerate(zip(shots, cameras, strict=True)):
         if not (part / f"{splits[index]}.png").is_file():
             yield index / len(shots), f"View {index + 1} of {len(shots)}: {camera.name}"
-            recorded = render_file(scene, frame_of(shot), part / f"{splits[index]}.png", camera, settings)
-            write_splits(part, cameras, splits, box, recorded)
+            files = pass_files(part, splits[index], settings.passes)
+            recorded = render_file(scene, frame_of(shot), part / f"{splits[index]}.png", camera, settings, files)
+            write_splits(part, cameras, splits, box, recorded, settings.passes)
     if kept == len(shots):  # the run before was stopped between its last view and its end
         with capture_scene(scene, settings) as copy:
-            write_splits(part, cameras, splits, box, colour_settings(copy))
+            write_splits(part, cameras, splits, box, colour_settings(copy), settings.passes)
     warnings += [layer_warning(scene, settings.view_layer), *checked(scene, shots, cameras, [part / f"{n}.png" for n in splits], settings)]
-    complete(part, folder, splits)
+    complete(part, folder, splits, settings.passes)
     held_out, first = sum(name.startswith("test") for name in splits), cameras[0]
     counts: dict[str, Any] = {"train": len(shots) - held_out, "test": held_out, "width": first.width, "height": first.height}
     said = [sentence for sentence in warnings if sentence]
@@ -133,11 +136,12 @@ def start_unfinished(part: Path, key: dict[str, Any]) -> None:
     write_bytes(part / RENDERING, json_bytes(key))
 
 
-def complete(part: Path, folder: Path, splits: Sequence[str]) -> None:
+def complete(part: Path, folder: Path, splits: Sequence[str], passes: Sequence[str] = ()) -> None:
     """Make the unfinished dataset `part` the dataset `folder`, in one step. splits: each view's path without suffix."""
+    files = [path for split in splits for path in (part / f"{split}.png", *pass_files(part, split, passes).values())]
     with new_folder(folder) as whole:
-        for name in (*(f"{split}.png" for split in splits), *(path.name for path in part.glob("transforms_*.json"))):
-            (whole / name).parent.mkdir(exist_ok=True)
+        for name in (path.relative_to(part) for path in (*files, *part.glob("transforms_*.json"))):
+            (whole / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(part / name, whole / name)
     shutil.rmtree(part, ignore_errors=True)
 
@@ -187,15 +191,22 @@ def read_rendering(part: Path) -> dict[str, Any]:
 
 
 def render_file(
-    scene: bpy.types.Scene, frame: int | None, path: Path, camera: Camera, settings: CaptureSettings | None = None
+    scene: bpy.types.Scene,
+    frame: int | None,
+    path: Path,
+    camera: Camera,
+    settings: CaptureSettings | None = None,
+    passes: Mapping[str, Path] | None = None,
 ) -> dict[str, Any]:
-    """`render_view` into a PNG without text chunks; the file is complete or absent. Raises SnergError also where it cannot be written.
+    """`render_view` into a PNG without text chunks; the file is complete or absent, and where it is there, so are the passes.
+
+    Raises SnergError also where it cannot be written.
 
     Blender writes to a temporary folder: a path of the artist's may hold braces, which Blender fills in, or other signs that it knows.
     """
     with tempfile.TemporaryDirectory(prefix="snerg-") as room:
         beside = Path(room) / "view.png"
-        recorded = render_view(scene, frame, beside, camera, settings)
+        recorded = render_view(scene, frame, beside, camera, settings, passes)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_bytes(path, strip_text_chunks(beside.read_bytes()))
@@ -215,14 +226,23 @@ def strip_text_chunks(png: bytes) -> bytes:
     return b"".join(kept)
 
 
-def write_splits(part: Path, cameras: Sequence[Camera], splits: Sequence[str], box: Box | None, recorded: dict[str, Any]) -> None:
+def write_splits(
+    part: Path,
+    cameras: Sequence[Camera],
+    splits: Sequence[str],
+    box: Box | None,
+    recorded: dict[str, Any],
+    passes: Sequence[str] = (),
+) -> None:
     """Write transforms_train.json and transforms_test.json for the views that are rendered. splits: each view's path without suffix."""
     rendered = [index for index, name in enumerate(splits) if (part / f"{name}.png").is_file()]
     for split in ("train", "test"):
         chosen = [index for index in rendered if splits[index].startswith(split)]
         if chosen:
             names = [f"./{splits[index]}" for index in chosen]
-            write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, {"snerg_render": recorded})
+            extra = {"snerg_render": recorded, **file_extra(passes)}
+            frames = [frame_extra(splits[index], passes) for index in chosen]
+            write_transforms(part / f"transforms_{split}.json", [cameras[i] for i in chosen], names, box, extra, frames)
 
 
 def link_or_copy(source: Path, target: Path) -> None:
@@ -264,9 +284,16 @@ def numbered(test: Sequence[bool]) -> list[str]:
 
 
 def render_view(
-    scene: bpy.types.Scene, frame: int | None, path: Path, camera: Camera, settings: CaptureSettings | None = None
+    scene: bpy.types.Scene,
+    frame: int | None,
+    path: Path,
+    camera: Camera,
+    settings: CaptureSettings | None = None,
+    passes: Mapping[str, Path] | None = None,
 ) -> dict[str, Any]:
-    """Render one view to a PNG with straight alpha, and return its `colour_settings`. frame: None for the scene's own.
+    """Render one view to a PNG with straight alpha, and its passes, and return its `colour_settings`.
+
+    frame: None for the scene's own. passes: the file of each pass by its name.
 
     A pinhole camera of its own stands where `camera` does, so that the picture and the pose are one whatever moves the artist's camera
     while Blender renders. Raises SnergError where Blender wrote no image, or one that does not have the camera's size.
@@ -279,7 +306,9 @@ def render_view(
         set_camera(stand_in, camera, copy)
         copy.camera = stand_in
         try:
+            enable_light(copy, tuple(passes or ()))
             render(copy, write_still=True)
+            write_passes(copy, passes or {}, lambda: render(copy))
         except RuntimeError as error:  # the error report of a Blender operator
             why = str(error).strip()
             raise SnergError(f"Blender could not render {camera.name!r} ({why}); render it once by hand to see why.") from error

@@ -25,6 +25,7 @@ class CaptureSettings:
     test_cameras: tuple[str, ...] = field(default=())  # full names of the cameras that are for testing, in place of `test_every`
     view_layer: str = ""  # its name; empty: the scene's first
     scene_look: bool = False  # the scene's view transform, look, exposure and gamma, in place of Standard without any
+    passes: tuple[str, ...] = ("depth",)  # written beside the pictures (see render_passes)
 
 
 @contextmanager

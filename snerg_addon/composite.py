@@ -20,11 +20,10 @@ def composite(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.S
     The nodes are inserted between the render layers of `layer` and what follows; a second call updates what the first made. Raises
     SnergError where the scene's compositor does not read these render layers.
     """
+    layer = composited_layer(tree_in_use(scene), scene) or layer
+    check(scene, layer)
     tree = tree_of(scene)
-    layer = composited_layer(tree, scene) or layer
     sources = [node for node in tree.nodes if reads(node, scene, layer)]
-    if len(tree.nodes) and not sources and MERGE not in tree.nodes:
-        raise SnergError(f"The compositor of {scene.name!r} has no render layers of {layer.name!r} to insert into; add such a node.")
     show_all(scene, layer)
     second = second_scene(scene, layer)
     meshes = render_layers(tree, MESHES, scene, layer)
@@ -34,6 +33,25 @@ def composite(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.S
     lead_on(tree, sources, merge)
     place(tree, sources, meshes, baked, merge)
     return second
+
+
+def check(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Raise SnergError where the render of a view layer cannot be composited. Changes nothing."""
+    if scene.path_resolve("library") is not None:
+        raise SnergError(f"The scene {scene.name!r} is linked from another file; composite it there, or in a scene of this file.")
+    tree = tree_in_use(scene)
+    nodes = [] if tree is None else tree.nodes
+    if len(nodes) and MERGE not in nodes and not any(reads(node, scene, layer) for node in nodes):
+        raise SnergError(f"The compositor of {scene.name!r} has no render layers of {layer.name!r} to insert into; add such a node.")
+
+
+def tree_in_use(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """The compositor nodes that a render of the scene goes through; None where there are none. Changes nothing."""
+    if "compositor_effects" in scene.bl_rna.properties:
+        return next((effect.node_group for effect in scene.compositor_effects if effect.enable_for_render), None)
+    if "compositing_node_group" in scene.bl_rna.properties:
+        return scene.compositing_node_group
+    return scene.node_tree
 
 
 def tree_of(scene: bpy.types.Scene) -> bpy.types.NodeTree:
@@ -62,9 +80,9 @@ def tree_holder(scene: bpy.types.Scene) -> tuple[Any, str]:
     return scene, "node_tree"
 
 
-def composited_layer(tree: bpy.types.NodeTree, scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:
+def composited_layer(tree: bpy.types.NodeTree | None, scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:
     """The view layer that an earlier call merged; None where there was none, or it is gone."""
-    node = tree.nodes.get(MESHES)
+    node = None if tree is None else tree.nodes.get(MESHES)
     return None if node is None else scene.view_layers.get(node.layer)
 
 
@@ -97,17 +115,19 @@ def second_scene(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.type
     second.render.engine, second.render.film_transparent, second.render.use_compositing = "SNERG", True, False
     second.view_layers[0].use_pass_z = True
     second.view_layers[0].update()  # else a new one has no layer collections yet
-    copy_excluded(layer.layer_collection, second.view_layers[0].layer_collection)
+    copy_visibility(layer.layer_collection, second.view_layers[0].layer_collection)
     copy_settings(scene, second)
     return second
 
 
-def copy_excluded(source: bpy.types.LayerCollection, target: bpy.types.LayerCollection) -> None:
-    """Exclude from a view layer the collections that another one excludes."""
+def copy_visibility(source: bpy.types.LayerCollection, target: bpy.types.LayerCollection) -> None:
+    """Give the collections of a view layer what decides in another one whether and how they render."""
+    twins = {child.collection: child for child in target.children}
     for child in source.children:
-        twin = target.children[child.name]
+        twin = twins[child.collection]
         twin.exclude = child.exclude
-        copy_excluded(child, twin)
+        twin.holdout, twin.indirect_only = child.holdout, child.indirect_only
+        copy_visibility(child, twin)
 
 
 def copy_settings(scene: bpy.types.Scene, second: bpy.types.Scene) -> None:

@@ -9,15 +9,14 @@ from typing import Any
 from ..core.errors import SnergError
 from ..core.training.log import FILE, read_log
 
-BARS = "▁▂▃▄▅▆▇█"
-WIDTH = 32  # bars that fit across the sidebar
+POINTS = 200  # of a curve: more than a picture in the sidebar can show
 
 
 @dataclass(frozen=True)
 class Curve:
     """The state of one training. fraction: done, in [0, 1]. psnr: latest dB on training rays. held_out: latest dB on held-out views.
 
-    Both are None where they were not measured. bars: the curve of the held-out PSNR as text, or of the training rays' where there is none.
+    Both are None where they were not measured. points: (seconds, dB) of the held-out views, or of the training rays where there are few.
     """
 
     fraction: float = 0.0
@@ -25,7 +24,7 @@ class Curve:
     seconds: float = 0.0
     psnr: float | None = None
     held_out: float | None = None
-    bars: str = ""
+    points: tuple[tuple[float, float], ...] = ()
 
 
 _cache: dict[Path, tuple[tuple[int, int], Curve]] = {}
@@ -52,26 +51,16 @@ def read_curve(lines: list[dict[str, Any]]) -> Curve:
     rays = [line for line in lines if _is_number(line.get("psnr"))]
     held = [line for line in lines if _is_number(line.get("held_out_psnr"))]
     last = rays[-1] if rays else {}
-    values = [line["held_out_psnr"] for line in held] if len(held) > 3 else [line["psnr"] for line in rays]
+    name, shown = ("held_out_psnr", held) if len(held) > 3 else ("psnr", rays)
+    points = [(float(line.get("seconds", 0.0)), float(line[name])) for line in shown]
     return Curve(
         fraction=float(last.get("fraction", 0.0)),
         steps=int(last.get("step", 0)),
         seconds=float(last.get("seconds", 0.0)),
         psnr=last.get("psnr"),
         held_out=held[-1]["held_out_psnr"] if held else None,
-        bars=sparkline(values),
+        points=tuple(points[:: -(-len(points) // POINTS) or 1]),
     )
-
-
-def sparkline(values: list[float], width: int = WIDTH) -> str:
-    """Values as a line of at most `width` bars, each the mean of its part of the values; '' for fewer than two values."""
-    if len(values) < 2:
-        return ""
-    count = min(width, len(values))
-    parts = [values[i * len(values) // count : (i + 1) * len(values) // count] for i in range(count)]
-    means = [sum(part) / len(part) for part in parts]
-    low, high = min(means), max(means)
-    return "".join(BARS[min(int((mean - low) / (high - low or 1) * len(BARS)), len(BARS) - 1)] for mean in means)
 
 
 def _is_number(value: Any) -> bool:

@@ -21,18 +21,31 @@ from .render_evaluation import hand_over
 from .scene_object import is_snerg_object, placed_camera, snerg_objects, source_of
 from .viewport.loading import cached
 
+COVERAGE = "Coverage"  # alpha, which Combined has only with a transparent film; a pass 'Alpha' would displace the compositor's own Alpha
+OBJECT_INDEX = "Object Index" if bpy.app.version >= (5, 0) else "IndexOB"  # Blender's own name for the pass
 BAND = 64  # rows of pixels that are rendered, and shown, together
+SURFACE = 0.5  # the alpha above which an object is a surface, which has an object index
 NO_DEPTH = 1e10  # what Blender's depth pass has where nothing is
+PASSES = {
+    "Combined": ("RGBA", "COLOR", ""),
+    COVERAGE: ("X", "VALUE", ""),
+    "Depth": ("Z", "VALUE", "use_pass_z"),
+    OBJECT_INDEX: ("X", "VALUE", "use_pass_object_index"),
+}
+"""The engine's passes: their channels, their kind, and the view layer's setting that asks for them; '': always there."""
 
 
 @dataclass(frozen=True)
 class Placed:
-    """An object of a frame: its scene, where it stands, its scale there and its pass index."""
+    """An object of a frame: its scene, the camera and the clip planes as they stand to that, its scale, its pass index, and whether it is
+    a holdout, which cuts a hole into what is behind it."""
 
     scene: Scene
     camera: Camera
+    clip: tuple[float, float]
     scale: float
     index: int
+    holdout: bool = False
 
 
 class SNERG_RE_engine(bpy.types.RenderEngine):
@@ -42,13 +55,13 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
     bl_label = "SNeRG"
     bl_use_preview = False
     bl_use_gpu_context = False
+    bl_use_eevee_viewport = True  # Material Preview shows the meshes, by EEVEE
 
     def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer: bpy.types.ViewLayer | None = None) -> None:
-        """The passes that a view layer asks for."""
-        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        for name, wanted in (("Depth", "use_pass_z"), ("IndexOB", "use_pass_object_index")):
-            if getattr(renderlayer, wanted, False):
-                self.register_pass(scene, renderlayer, name, 1, "Z" if name == "Depth" else "X", "VALUE")
+        """The passes that a view layer asks for, by which the compositor knows them."""
+        for name, (channels, kind, wanted) in PASSES.items():
+            if not wanted or getattr(renderlayer, wanted, False):
+                self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One view layer of one frame."""
@@ -69,13 +82,13 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
         if scene.camera is None:
             raise SnergError(f"The scene {scene.name!r} has no camera; add one, or choose one in the scene's properties.")
         camera = bordered(camera_from_blender(scene.camera, scene, depsgraph), scene.render)
-        things = list(placed(depsgraph, camera))
+        things = list(placed(depsgraph, camera, clip_of(scene.camera, depsgraph)))
         background = None if depsgraph.scene_eval.render.film_transparent else world_colour(scene)
         for top in range(0, camera.height, BAND):
             band = rows_of(camera, top, min(BAND, camera.height - top))
+            tell = self._tell(top, camera.height)
             frames = [
-                render_scene(thing.scene, rows_of(thing.camera, top, band.height), progress=self._tell(top, camera.height))
-                for thing in things
+                render_scene(thing.scene, rows_of(thing.camera, top, band.height), progress=tell, clip=thing.clip) for thing in things
             ]
             self._write(depsgraph.view_layer_eval.name, camera.height - top - band.height, merged(frames, things, band), background)
             self.update_progress((top + band.height) / camera.height)
@@ -101,7 +114,7 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
         """A band of rows into the render result, whose first row is the lowest."""
         height, width = picture.alpha.shape
         result = self.begin_result(0, bottom, width, height, layer=layer)
-        values = {"Combined": picture.linear(background), "Depth": picture.depth, "IndexOB": picture.index}
+        values = {"Combined": picture.linear(background), COVERAGE: picture.alpha, "Depth": picture.depth, OBJECT_INDEX: picture.index}
         for part in result.layers[0].passes:
             if part.name in values:
                 part.rect.foreach_set(np.ascontiguousarray(values[part.name][::-1], np.float32).reshape(-1))
@@ -121,10 +134,12 @@ def shown_in(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Rows of a frame: colour [H, W, 3] display-referred and premultiplied, alpha, depth along the view axis and pass index [H, W]."""
+    """Rows of a frame: colour [H, W, 3] display-referred and premultiplied; [H, W]: alpha, what is left of the background (1 - alpha, less
+    where a holdout is), depth along the view axis and pass index."""
 
     colour: np.ndarray
     alpha: np.ndarray
+    behind: np.ndarray
     depth: np.ndarray
     index: np.ndarray
 
@@ -133,11 +148,10 @@ class Picture:
 
         Translucent colours are laid over the background as they are displayed, as the web page does it, and converted once.
         """
-        alpha = self.alpha[..., None]
+        shown, alpha = self.colour, self.alpha[..., None]
         if background is not None:
-            shown = np.clip(self.colour + (1 - alpha) * background, 0, 1)
-            return np.concatenate([srgb_to_linear(shown), np.ones_like(alpha)], axis=-1)
-        straight = np.clip(self.colour / np.maximum(alpha, 1e-6), 0, 1)
+            shown, alpha = shown + self.behind[..., None] * background, alpha + self.behind[..., None]
+        straight = np.clip(shown / np.maximum(alpha, 1e-6), 0, 1)
         return np.concatenate([srgb_to_linear(straight) * alpha, alpha], axis=-1)
 
 
@@ -156,23 +170,34 @@ def rows_of(camera: Camera, top: int, count: int) -> Camera:
     return replace(camera, height=count, centre=(camera.centre[0], camera.centre[1] - top))
 
 
-def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
+def clip_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[float, float]:
+    """A camera's clip start and end, world units along its view axis."""
+    data = camera.evaluated_get(depsgraph).data
+    return float(data.clip_start), float(data.clip_end)
+
+
+def placed(depsgraph: bpy.types.Depsgraph, camera: Camera, clip: tuple[float, float]) -> Iterator[Placed]:
     """What of SNeRG objects, instances too, is in a frame. Raises SnergError where one cannot be rendered."""
+    layer = depsgraph.view_layer
     for instance in depsgraph.object_instances:
         thing = instance.object
-        if not is_snerg_object(thing) or not instance.show_self:
+        if not is_snerg_object(thing) or not instance.show_self or not thing.visible_camera:
+            continue
+        if thing.original.indirect_only_get(view_layer=layer):
             continue
         matrix = np.array(instance.matrix_world, np.float64)
         scene = cached(source_of(thing.original))
         moved, scale = placed_camera(thing.name, scene, matrix, camera)
-        yield Placed(scene, moved, scale, thing.pass_index)
+        holdout = thing.is_holdout or thing.original.holdout_get(view_layer=layer)
+        yield Placed(scene, moved, (clip[0] / scale, clip[1] / scale), scale, thing.pass_index, holdout)
 
 
 def merged(frames: list[Frame], things: list[Placed], camera: Camera) -> Picture:
-    """The objects' frames over each other, at each pixel the nearest first."""
+    """The objects' frames over each other, at each pixel the nearest first. The object index is that of the nearest surface, which has an
+    alpha above SURFACE; depth is the mean of all that is seen."""
     shape = camera.height, camera.width
     if not frames:
-        return Picture(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, NO_DEPTH), np.zeros(shape))
+        return Picture(np.zeros((*shape, 3)), np.zeros(shape), np.ones(shape), np.full(shape, NO_DEPTH), np.zeros(shape))
     depths = np.stack([frame.depth * thing.scale for frame, thing in zip(frames, things, strict=True)])
     order = np.argsort(depths, axis=0, kind="stable")
 
@@ -183,17 +208,21 @@ def merged(frames: list[Frame], things: list[Placed], camera: Camera) -> Picture
 
     colours, alphas = sorted_([frame.colour for frame in frames]), sorted_([frame.alpha for frame in frames])
     indices = sorted_([np.full(shape, thing.index) for thing in things])
+    seen = sorted_([np.full(shape, not thing.holdout) for thing in things])
     depths = np.take_along_axis(depths, order, axis=0)
-    colour, transmittance = np.zeros((*shape, 3)), np.ones(shape)
+    colour, alpha, transmittance = np.zeros((*shape, 3)), np.zeros(shape), np.ones(shape)
     depth, weight = np.zeros(shape), np.zeros(shape)
     for each in range(len(frames)):
-        colour += transmittance[..., None] * colours[each]
         part = transmittance * alphas[each]
+        colour += np.where(seen[each], transmittance, 0)[..., None] * colours[each]
+        alpha += np.where(seen[each], part, 0)
         depth += np.where(part > 0, part * np.where(np.isfinite(depths[each]), depths[each], 0), 0)
         weight += part
         transmittance = transmittance * (1 - alphas[each])
     mean = np.where(weight > 0, depth / np.maximum(weight, 1e-6) * axis_cosines(camera), NO_DEPTH)
-    return Picture(colour, 1 - transmittance, mean, np.where(alphas[0] > 0.5, indices[0], 0))
+    surface = alphas > SURFACE
+    index = np.where(surface.any(axis=0), np.take_along_axis(indices, surface.argmax(axis=0)[None], axis=0)[0], 0)
+    return Picture(colour, alpha, transmittance, mean, index)
 
 
 def axis_cosines(camera: Camera) -> np.ndarray:

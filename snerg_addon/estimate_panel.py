@@ -20,7 +20,7 @@ from .project import Project, project_of
 
 MAX_CACHED = 16  # estimates: more than there are windows
 _probes: dict[Path, tuple[tuple[int, int], FieldProbe | None]] = {}
-_summaries: dict[str, list[str]] = {}
+_estimates: dict[str, dict[str, Any]] = {}
 
 
 def probe_of(project: Project) -> FieldProbe | None:
@@ -35,34 +35,52 @@ def probe_of(project: Project) -> FieldProbe | None:
             found = read_field_probe(project.survey, stamp(project.field), lambda: read_field(project.field))
         except (SnergError, OSError):
             found = None
-        _summaries.clear()
+        _estimates.clear()
         known = _probes[project.survey] = (written, found)
     return known[1]
 
 
+def bake_settings(scene: bpy.types.Scene) -> BakeSettings:
+    """The bake of the panel's settings. Raises SnergError when it is not possible."""
+    settings = scene.snerg
+    return BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
+
+
 def lines(context: bpy.types.Context) -> list[str]:
     """The estimate for the panel's settings and the box, in a few short lines; none where the field has no probe yet."""
-    probe = probe_of(project_of(context.scene))
-    if probe is None:
-        return []
-    settings, box = context.scene.snerg, box_of(context.scene)
     try:
-        volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
-        wanted = BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
-        return _lines(probe, volume, wanted, settings.refine, resolution(context.scene))
+        found = _estimated(context, bake_settings(context.scene))
     except SnergError as error:
         return [str(error)]
+    return [] if found is None else summary(found)
 
 
-def _lines(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> list[str]:
-    """The estimate's lines, cached because a panel is drawn far more often than its settings change."""
+def estimated(context: bpy.types.Context, settings: BakeSettings) -> dict[str, Any] | None:
+    """The estimate (`Estimate.to_json`) of a bake of the project's field in the box; None without a probe, or where it cannot be baked."""
+    try:
+        return _estimated(context, settings)
+    except SnergError:
+        return None
+
+
+def _estimated(context: bpy.types.Context, settings: BakeSettings) -> dict[str, Any] | None:
+    probe = probe_of(project_of(context.scene))
+    if probe is None:
+        return None
+    box = box_of(context.scene)
+    volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
+    return _cached(probe, volume, settings, context.scene.snerg.refine, resolution(context.scene))
+
+
+def _cached(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> dict[str, Any]:
+    """The estimate, cached because a panel is drawn far more often than its settings change."""
     key = json.dumps([id(probe), box.to_json(), str(settings), refine, size])
-    if key not in _summaries:
+    if key not in _estimates:
         found = estimate(probe, box, settings, refine, size)
-        if len(_summaries) > MAX_CACHED:
-            _summaries.clear()
-        _summaries[key] = summary(found.to_json())
-    return _summaries[key]
+        if len(_estimates) > MAX_CACHED:
+            _estimates.clear()
+        _estimates[key] = found.to_json()
+    return _estimates[key]
 
 
 def summary(value: dict[str, Any]) -> list[str]:
@@ -70,4 +88,5 @@ def summary(value: dict[str, Any]) -> list[str]:
     seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
     time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
     memory = f"{value['peak_megabytes'] / 1000:.1f} GB of memory"
-    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {value['preview']:.2g} s per preview"]
+    preview = f"{value['preview']:.0f}" if value["preview"] >= 10 else f"{value['preview']:.2g}"
+    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {preview} s per preview"]

@@ -110,17 +110,21 @@ class Project:
 
     def new_version(self, step: str) -> Path:
         """Make an empty folder for a new version, with the next number. Raises SnergError when it cannot be made."""
-        folder = self.folder / VERSIONS[step][0]
-        number = 1 + max((int(path.name) for path in folder.glob("*") if path.name.isdigit()), default=0)
         while True:
-            path = folder / f"{number:03d}"
+            path = self.next_version(step)
             try:
                 path.mkdir(parents=True)
                 return path
-            except FileExistsError:
-                number += 1
+            except FileExistsError:  # another Blender was quicker
+                continue
             except OSError as error:
                 raise cannot_write(path, error) from error
+
+    def next_version(self, step: str) -> Path:
+        """The folder that the next version of 'field' or 'scene' would have; it is not made."""
+        folder = self.folder / VERSIONS[step][0]
+        number = 1 + max((int(path.name) for path in folder.glob("*") if path.name.isdigit()), default=0)
+        return folder / f"{number:03d}"
 
     def version_made(self, step: str, path: str) -> Path:
         """The folder of a version that a job wrote to `path`, which the project may have left since."""

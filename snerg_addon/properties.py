@@ -99,7 +99,18 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         soft_max=8,
         max=64,
     )
-    rig_count: IntProperty(name="Cameras", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
+    render_depth: BoolProperty(
+        name="Depth",
+        description="Write the depth of each view, as OpenEXR beside the pictures: the exact distance along the camera's axis",
+        default=True,
+    )
+    render_normals: BoolProperty(name="Normals", description="Write the surface normals of each view, in the scene's axes", default=False)
+    render_light: BoolProperty(
+        name="Diffuse, Glossy",
+        description="Write for each view which light comes from diffuse and which from glossy surfaces (linear, OpenEXR)",
+        default=False,
+    )
+    rig_count: IntProperty(name="Count", description="Number of cameras of the rig", default=RigSettings.count, min=1, soft_max=500)
     rig_shape: EnumProperty(
         name="Shape",
         description="Where the rig's cameras are placed",
@@ -126,7 +137,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
 
     preset: EnumProperty(
-        name="Preset",
+        name="Method",
         description="The kind of field to train",
         items=[
             ("fast", "Fast", "A hash grid with a small network: good results in minutes on a CPU"),
@@ -137,8 +148,8 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         default="fast",
     )
     view_dependence: EnumProperty(
-        name="View Dependence",
-        description="How colours may change with the viewing direction",
+        name="Highlights",
+        description="How colours may change with the viewing direction (view dependence)",
         items=[
             ("auto", "Auto", "Deferred or Diffuse, as a test on the images decides"),
             ("deferred", "Deferred", "Highlights from a small network, evaluated once per pixel, as in the baked scene"),
@@ -184,6 +195,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=0,
         soft_max=100000,
     )
+    show_training: BoolProperty(
+        name="Show While Training",
+        description="Show the field so far in the viewport, baked coarsely now and then. This takes up to 4 % of the training's time",
+        default=True,
+    )
     seed: IntProperty(name="Seed", description="Random seed of the training: the same seed and steps give the same field", default=0, min=0)
 
     box: PointerProperty(
@@ -226,6 +242,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         precision=4,
         step=1,
     )
+    show_voxels: BoolProperty(
+        name="Show Voxels",
+        description="Draw the voxels of the bake on three faces of the box, several as one where they would be too many to see",
+        default=False,
+    )
     samples: IntProperty(
         name="Samples",
         description="Samples of the field per voxel. More give smoother edges and take longer. 0: chosen automatically",
@@ -252,7 +273,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     )
 
     web_cameras: EnumProperty(
-        name="Cameras",
+        name="Page Cameras",
         description="Cameras to choose from on the web page",
         items=[
             ("ACTIVE", "Active", "The scene's active camera"),

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..core.scene.isosurface import isosurface
 from ..core.scene.scene import Scene
+from .scene_object import link_beside
 
 LIFT = "SNeRG Lift"
 KEY = "snerg_proxy"  # the custom property that tells a proxy from an artist's mesh
@@ -23,8 +24,7 @@ def add_proxy(thing: bpy.types.Object, scene: Scene, kind: str, threshold: float
         proxy = bpy.data.objects.new(f"{thing.name} Proxy", bpy.data.meshes.new(f"{thing.name} Proxy"))
         proxy[KEY] = True
         proxy.parent, proxy.display_type = thing, "WIRE"
-        for collection in thing.users_collection:
-            collection.objects.link(proxy)
+        link_beside(proxy, thing, bpy.context.scene)
     proxy.is_shadow_catcher, proxy.is_holdout = kind == "SHADOW_CATCHER", kind == "HOLDOUT"
     fill(proxy.data, vertices, quads)
     lift(proxy, scene.voxel_size if kind == "SHADOW_CATCHER" else 0.0)

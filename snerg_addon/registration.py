@@ -8,16 +8,18 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import command, engine, menus, panels, properties, saving, scene_object, training_python
+from . import box_gizmo, command, engine, menus, overlay, panels, pictures, properties, saving, scene_object, steps, training_python
 from .viewport import draw
 
 CLASSES = (
     *properties.CLASSES,
+    *steps.CLASSES,
     scene_object.SNERG_PG_object,
     engine.SNERG_RE_engine,
     *operators.classes(),
     *panels.CLASSES,
     *menus.CLASSES,
+    *box_gizmo.CLASSES,
 )
 _commands: list[Any] = []
 
@@ -28,18 +30,22 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     bpy.types.Object.snerg = bpy.props.PointerProperty(type=scene_object.SNERG_PG_object)
+    steps.register()
     menus.register()
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
     quit.add_keys()
     saving.register()
     watch.register()
     draw.register()
+    overlay.register()
     engine.add_panels()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse order."""
     engine.remove_panels()
+    overlay.unregister()
+    pictures.clear()
     draw.unregister()
     watch.unregister()
     training_python.stop()
@@ -48,6 +54,7 @@ def unregister() -> None:
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     menus.unregister()
+    steps.unregister()
     del bpy.types.Object.snerg
     del bpy.types.Scene.snerg
     for cls in reversed(CLASSES):

@@ -27,11 +27,14 @@ from .owner import (
     unsaved_root,
     write_owner,
 )
-from .scene_object import folder_of, snerg_objects
+from .scene_object import absolute, folder_of, is_own, is_snerg_object, own_objects, same_folders
+from .training_object import remove_all, undone
+from .viewport.loading import has_scene
 
 _old_folders: dict[str, str] = {}  # the folder setting of each scene in which a save changed it
 _old_paths: dict[str, str] = {}  # the scene folder of each SNeRG object in which a save changed it
 _settings_before_undo: dict[int, tuple[str, str]] = {}  # (project id, folder) by session_uid
+_rewritten: dict[str, str] = {}  # what saving made of the path of an object, by what it was: undo brings the old one back
 _failed_moves: set[Path] = set()  # folders that could not be moved; tried again when a file is saved or opened
 _path_before_save = ""  # of the open file, while it is being saved
 
@@ -39,11 +42,6 @@ _path_before_save = ""  # of the open file, while it is being saved
 def local_scenes() -> Iterator[bpy.types.Scene]:
     """The scenes of this file that are not linked from a library."""
     return (scene for scene in bpy.data.scenes if scene.path_resolve("library") is None)
-
-
-def local_objects() -> Iterator[bpy.types.Object]:
-    """The SNeRG objects of this file that are not linked from a library."""
-    return (thing for thing in snerg_objects(bpy.data) if thing.library is None)
 
 
 @persistent
@@ -65,11 +63,13 @@ def before_saving(filepath: Any, *_unused: Any) -> None:
                 _old_folders[scene.name], scene.snerg.folder = old, blend_path(target, start)
         elif old.startswith("//") and os.path.dirname(bpy.data.filepath) != start:
             _old_folders[scene.name], scene.snerg.folder = old, blend_path(absolute_path(old, scene), start)
-    for thing in local_objects():
+    for thing in own_objects():
         old, folder = thing.snerg.folder, folder_of(thing)
         moved = next((target / folder.relative_to(source) for source, target in moves.items() if folder.is_relative_to(source)), None)
-        if moved is not None or (old.startswith("//") and os.path.dirname(bpy.data.filepath) != start):
-            _old_paths[thing.name], thing.snerg.folder = old, blend_path(moved or folder, start)
+        elsewhere = os.path.dirname(bpy.data.filepath) != start or folder != absolute(old, None)  # or its path is still a library's
+        if moved is not None or (old.startswith("//") and elsewhere):
+            _old_paths[thing.name] = old
+            write_path(thing, blend_path(moved or folder, start))
 
 
 @persistent
@@ -82,7 +82,7 @@ def after_saving(*_unused: Any) -> None:
     _old_folders.clear()
     for name, old in _old_paths.items():
         if (copy or not _path_before_save) and name in bpy.data.objects:  # a project that moves takes its objects' paths along
-            bpy.data.objects[name].snerg.folder = old
+            write_path(bpy.data.objects[name], old)
     _old_paths.clear()
     if not copy:
         for scene in local_scenes():
@@ -90,6 +90,14 @@ def after_saving(*_unused: Any) -> None:
                 transfer_project(scene, Path(_path_before_save))
     _failed_moves.clear()
     move_saved_projects()
+
+
+def write_path(thing: bpy.types.Object, path: str) -> None:
+    """Write the path of an object's folder in another way; the folder is the same."""
+    if thing.snerg.folder != path:
+        _rewritten[thing.snerg.folder] = path
+    with same_folders():
+        thing.snerg.folder = path
 
 
 def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
@@ -105,9 +113,22 @@ def transfer_project(scene: bpy.types.Scene, old_file: Path) -> None:
 
 @persistent
 def after_loading(*_unused: Any) -> None:
-    """Another file was opened: move its projects that are still waiting to be moved, as after a crash."""
+    """Another file was opened: move its projects that are still waiting to be moved, as after a crash. A file that was saved while a
+    training ran has the training's object, which the timer makes again if the training still runs."""
+    remove_all()
     _failed_moves.clear()
+    _rewritten.clear()
     move_saved_projects()
+
+
+@persistent
+def after_appending(context: Any, *_unused: Any) -> None:
+    """Paths of objects that were appended from another file are relative to that file, which Blender does not know of our property."""
+    for item in context.import_items:
+        thing, source = item.id, item.source_library
+        appended = source is not None and isinstance(thing, bpy.types.Object) and is_snerg_object(thing) and is_own(thing)
+        if appended and thing.snerg.folder.startswith("//"):
+            write_path(thing, blend_path(Path(bpy.path.abspath(thing.snerg.folder, library=source))))
 
 
 @persistent
@@ -121,13 +142,27 @@ def before_undo(*_unused: Any) -> None:
 
 @persistent
 def after_undo(*_unused: Any) -> None:
-    """Restore the project settings that undo took away, so that a scene keeps its project."""
+    """Restore the project settings that undo took away, so that a scene keeps its project; show trainings again."""
     for scene in local_scenes():
         project_id, folder = _settings_before_undo.get(scene.session_uid, ("", ""))
         if project_id:
             scene.snerg.project_id = project_id
             if bpy.data.filepath and not scene.snerg.folder:
                 scene.snerg.folder = folder
+    undone()
+    for thing in own_objects():
+        follow_saving(thing)
+
+
+def follow_saving(thing: bpy.types.Object) -> None:
+    """Where undo brought back a path from before the file was saved elsewhere, at which no scene is any more: write it as saving did."""
+    tried, found = [thing.snerg.folder], has_scene(folder_of(thing))
+    while not found and (path := _rewritten.get(tried[-1])) and path not in tried:
+        tried.append(path)
+        found = has_scene(Path(bpy.path.abspath(path)))
+    if found and len(tried) > 1:
+        with same_folders():
+            thing.snerg.folder = tried[-1]
 
 
 def move_saved_projects() -> None:
@@ -165,9 +200,9 @@ def move_saved_project(scene: bpy.types.Scene) -> None:
 
 def follow_move(source: Path, target: Path) -> None:
     """Make the objects that show scenes of a moved project show them where they are now."""
-    for thing in local_objects():
+    for thing in own_objects():
         if (folder := folder_of(thing)).is_relative_to(source):
-            thing.snerg.folder = blend_path(target / folder.relative_to(source))
+            write_path(thing, blend_path(target / folder.relative_to(source)))
 
 
 def orphaned_projects() -> list[Path]:
@@ -181,6 +216,7 @@ def orphaned_projects() -> list[Path]:
 
 
 HANDLERS = (
+    (bpy.app.handlers.blend_import_post, after_appending),
     (bpy.app.handlers.save_pre, before_saving),
     (bpy.app.handlers.save_post, after_saving),
     (bpy.app.handlers.load_post, after_loading),

@@ -5,13 +5,12 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
-import OpenImageIO
 
 from ..core.geometry.camera import Camera
+from ..core.io.exr import has_openimageio, read_channels
 from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene
 from .render_evaluation import evaluate_render, render, temporary_camera
@@ -62,7 +61,7 @@ def mismatch(
     The depth of one view, rendered small, gives points of the world. In another view these must lie on what its picture shows, or
     behind it. alphas: of the pictures [H, W] uint8.
     """
-    pair = best_pair(cameras, alphas)
+    pair = best_pair(cameras, alphas) if has_openimageio() else None
     if pair is None:
         return ""
     one, other = pair
@@ -141,6 +140,8 @@ def render_depth(scene: bpy.types.Scene, frame: int | None, camera: Camera, sett
         if hasattr(image, "media_type"):
             image.media_type = "MULTI_LAYER_IMAGE"
         image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
+        if hasattr(image, "use_exr_interleave"):
+            image.use_exr_interleave = True  # one part: Blender 5.0 cannot write several with a pixel aspect other than 1
         path = Path(room) / "depth.exr"
         copy.render.filepath = str(path).replace("{", "{{").replace("}", "}}")
         if frame is not None:
@@ -162,18 +163,5 @@ def render_depth(scene: bpy.types.Scene, frame: int | None, camera: Camera, sett
 
 def read_depth(path: Path) -> np.ndarray | None:
     """The depth pass [H, W] of a multilayer OpenEXR file; None where there is none."""
-    source: Any = OpenImageIO.ImageInput.open(str(path))
-    if source is None:
-        return None
-    try:
-        part = 0
-        while source.seek_subimage(part, 0):
-            names = list(source.spec().channelnames)
-            found = [name for name in names if name.rsplit(".", 2)[-2:-1] in (["Depth"], ["Z"])]
-            if found:
-                at = names.index(found[0])
-                return np.asarray(source.read_image(part, 0, at, at + 1, "float"), np.float64)[..., 0]
-            part += 1
-        return None
-    finally:
-        source.close()
+    found = [values for name, values in read_channels(path).items() if name.endswith((".Depth.Z", ".Depth.V"))]
+    return found[0].astype(np.float64) if found else None

@@ -2,34 +2,47 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import bpy
 
 from .owner import absolute_path, blend_path
-from .scene_object import folder_of, snerg_objects
+from .project import Project
+from .scene_object import folder_of, link_beside, snerg_objects
 
 NAME = "SNeRG Volume"
 
 
-def add_volume(scene: bpy.types.Scene, path: Path, source: Path) -> bpy.types.Object | None:
-    """A Volume object of a .vdb file, as a child of the SNeRG object that shows `source`; one that shows the file already is kept.
+def volume_path(project: Project, folder: Path) -> Path:
+    """Where the volume of the scene in a folder is written: within the project, by another name for each scene."""
+    name = project.key(folder).replace("/", "_")
+    if not folder.is_relative_to(project.folder):
+        name = f"{folder.name}-{hashlib.sha256(str(folder).encode()).hexdigest()[:8]}"
+    return project.folder / "volumes" / f"{name}.vdb"
 
-    Returns None where no object shows the source any more.
-    """
-    parent = next((thing for layer in scene.view_layers for thing in snerg_objects(layer) if folder_of(thing) == source), None)
-    if parent is None:
-        return None
+
+def parent_of(scene: bpy.types.Scene, project: Project, path: Path, wanted: str) -> bpy.types.Object | None:
+    """The SNeRG object that a volume belongs to: the one of the full name `wanted`, else any that shows its scene; None where none does."""
+    shown = [thing for thing in snerg_objects(scene) if volume_path(project, folder_of(thing)) == path]
+    return next((thing for thing in shown if thing.name_full == wanted), shown[0] if shown else None)
+
+
+def add_volume(parent: bpy.types.Object, path: Path, scene: bpy.types.Scene) -> bpy.types.Object:
+    """A Volume object of a .vdb file, as a child of a SNeRG object; one that shows the file already is kept. Others share its data."""
+    shown = [data for data in bpy.data.volumes if data.library is None and absolute_path(data.filepath, scene) == path]
+    for data in shown:
+        data.grids.unload()  # written again
     for child in parent.children:
-        if child.type == "VOLUME" and absolute_path(child.data.filepath, scene) == path:
-            child.data.grids.unload()  # written again
+        if child.type == "VOLUME" and child.data in shown:
             return child
-    volume = bpy.data.volumes.new(NAME)
-    volume.filepath = blend_path(path)
-    volume.materials.append(material())
+    volume = shown[0] if shown else bpy.data.volumes.new(NAME)
+    if not shown:
+        volume.filepath = blend_path(path)
+        volume.materials.append(material())
     thing = bpy.data.objects.new(NAME, volume)
     thing.parent = parent
-    parent.users_collection[0].objects.link(thing)
+    link_beside(thing, parent, scene)
     return thing
 
 
@@ -38,9 +51,9 @@ def material() -> bpy.types.Material:
 
     The colours hold the light under which the scene was photographed; Emission Strength of 1 shows them as they were.
     """
-    known = bpy.data.materials.get(NAME)
-    if known is not None:
-        return known
+    known = [made for made in bpy.data.materials if made.name == NAME and made.library is None]
+    if known:
+        return known[0]
     made = bpy.data.materials.new(NAME)
     if not made.node_tree:
         made.use_nodes = True

@@ -30,9 +30,6 @@ def main() -> None:
     for step in ("train", "estimate", "bake", "preview", "export_web"):
         if getattr(bpy.ops.snerg, step)() != {"FINISHED"}:
             sys.exit(f"The step {step} failed.")
-    preview = bpy.data.images["SNeRG Preview"]
-    preview.use_fake_user = True  # else it is not saved
-    preview.pack()
     bpy.ops.wm.save_mainfile()
 
 

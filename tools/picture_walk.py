@@ -1,7 +1,8 @@
 """Runs inside Blender's window: what pictures.py photographs. See tests/window/drive.py, which sends the events.
 
 `blender --enable-event-simulate --python picture_walk.py -- panels FOLDER FILE` writes FOLDER/STEP.png, a picture of the whole window
-for each step, and FOLDER/panels.json with the rectangles to crop to.
+for each step, and FOLDER/panels.json with the rectangles to crop to. `-- live FOLDER SCENE` does the same for the viewport and the camera
+view of a baked scene among meshes, and `-- growing FOLDER DATASET` for the viewport during a training.
 """
 
 from __future__ import annotations
@@ -10,15 +11,20 @@ import sys
 from pathlib import Path
 
 import bpy
+from mathutils import Euler
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "window"))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 import drive
+import picture_object
 
 STEPS = ("dataset", "field", "box", "bake", "preview", "study", "export")
 SHOWN = {"dataset": ("dataset",), "field": ("field",), "bake": ("box", "bake"), "preview": ("preview",), "export": ("export",)}
 SCALE = 1.25  # of Blender's interface: letters stay sharp in pictures of the sidebar
 SIDEBAR_WIDTH = 420  # pixels: no name is cut off
 VIEWPORT_SECONDS = 45  # for the viewport's render, by software
+LIVE_DISTANCE, LIVE_SECONDS = 5.2, 15  # world units; seconds until the viewport has drawn the baked scene, by software
+ENDLESS, PREVIEWS = 10**6, (1, 3, 7)  # steps of a training that is stopped, and those of its previews that are photographed
 VIEW_DISTANCE = 3.7  # world units from the middle of the still life: nearer than its cameras, none of which is then in the way
 
 
@@ -38,10 +44,75 @@ def panels(window: drive.Window, file: str) -> drive.Walk:
         yield from window.wait(0.5)
         yield from window.picture(name)
         window.seen.setdefault("crop", {})[name] = sidebar_rectangle(window)
-    show_only(STEPS)
+    show_only(("bake",))
     window.view.spaces.active.shading.type = "RENDERED"
     yield from window.wait(VIEWPORT_SECONDS)
     yield from window.picture("blender")
+
+
+def live(window: drive.Window, scene: str) -> drive.Walk:
+    """A picture of the viewport with a baked scene among meshes, and one of its camera view."""
+    bpy.context.preferences.view.ui_scale = SCALE
+    with bpy.context.temp_override(window=window.window):
+        baked = picture_object.build(Path(scene))
+    with bpy.context.temp_override(window=window.window, area=window.view):
+        bpy.ops.screen.screen_full_area()
+    look(window)
+    space = window.view.spaces.active
+    space.shading.color_type = "MATERIAL"
+    space.region_3d.view_rotation = Euler((1.05, 0, 0.75)).to_quaternion()
+    space.region_3d.view_distance = LIVE_DISTANCE
+    baked.select_set(True)
+    region = next(region for region in window.view.regions if region.type == "WINDOW")
+    for name in ("viewport", "camera"):
+        if name == "camera":
+            baked.select_set(False)
+            space.region_3d.view_perspective = "CAMERA"
+            with bpy.context.temp_override(window=window.window, area=window.view, region=region):
+                bpy.ops.view3d.view_center_camera()
+        yield from window.wait(LIVE_SECONDS)
+        yield from window.picture(name)
+        left, top, right, bottom = region_rectangle(window)
+        aside, high = (region.width // 5, region.height // 8) if name == "viewport" else (0, 0)  # what lies round the scene is only grid
+        window.seen.setdefault("crop", {})[name] = [left + aside, top + high, right - aside, bottom]
+
+
+def growing(window: drive.Window, dataset: str) -> drive.Walk:
+    """A picture of the viewport with some of the first previews of a training, which is stopped then."""
+    yield from window.file("save_as_mainfile", window.folder / "training.blend")
+    with bpy.context.temp_override(window=window.window):
+        picture_object.empty()
+    with bpy.context.temp_override(window=window.window, area=window.view):
+        bpy.ops.screen.screen_full_area()
+    look(window)
+    window.view.spaces.active.region_3d.view_rotation = Euler((1.05, 0, 0.4)).to_quaternion()
+    window.settings.dataset, window.settings.steps, window.settings.view_dependence = dataset, ENDLESS, "deferred"
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.train("INVOKE_DEFAULT")
+    previews: set[int] = set()
+    for count in PREVIEWS:
+        if not (yield from window.until(lambda least=count: len(preview_times(window, previews)) >= least, 300)):
+            raise RuntimeError(f"The training wrote {len(previews)} previews in place of {count}.")
+        yield from window.wait(4)
+        yield from window.picture(f"growing-{count}")
+    left, top, right, bottom = region_rectangle(window)
+    middle, height = (left + right) // 2, (bottom - top) * 7 // 8  # without the header
+    window.seen["crop"] = [middle - height // 2, bottom - height, middle + height // 2, bottom]
+    window.operator("cancel")
+    yield from window.until(lambda: not window.busy(), 60)
+
+
+def preview_times(window: drive.Window, seen: set[int]) -> set[int]:
+    """When each preview of the training was written, as far as it was seen."""
+    seen.update(path.stat().st_mtime_ns for path in window.folder.rglob("preview/scene.json"))
+    return seen
+
+
+def region_rectangle(window: drive.Window) -> list[int]:
+    """Left, top, right and bottom of the 3D view in pixels of a picture of the window."""
+    region = next(region for region in window.view.regions if region.type == "WINDOW")
+    top = window.window.height - region.y - region.height
+    return [region.x, top, region.x + region.width, top + region.height]
 
 
 def look(window: drive.Window) -> None:
@@ -55,7 +126,8 @@ def look(window: drive.Window) -> None:
             thing.data.cutoff_distance = 0.3  # the length of the line that is drawn; its light does not end there
     view = space.region_3d
     view.view_location, view.view_distance = (0, 0, 0.35), VIEW_DISTANCE
-    view.view_rotation = scene.camera.matrix_world.to_quaternion()
+    if scene.camera is not None:
+        view.view_rotation = scene.camera.matrix_world.to_quaternion()
     space.overlay.show_relationship_lines = space.overlay.show_text = space.overlay.show_cursor = False
     space.show_gizmo = space.show_region_toolbar = False
 
@@ -74,18 +146,9 @@ def widen(window: drive.Window) -> drive.Walk:
 
 
 def show_only(steps: tuple[str, ...]) -> None:
-    """Leave the panels of some steps in the sidebar."""
-    panels = {step: getattr(bpy.types, f"SNERG_PT_{step}", None) or KEPT[step] for step in STEPS}
-    KEPT.update(panels)
-    for panel in panels.values():
-        if panel.is_registered:
-            bpy.utils.unregister_class(panel)
+    """Open some steps of the sidebar and close the others."""
     for step in STEPS:
-        if step in steps:
-            bpy.utils.register_class(panels[step])
-
-
-KEPT: dict[str, type] = {}
+        setattr(bpy.context.window_manager.snerg_steps, step, step in steps)
 
 
 def sidebar_rectangle(window: drive.Window) -> list[int]:

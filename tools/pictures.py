@@ -35,6 +35,7 @@ PAGE_SIZE = (800, 900)  # pixels of the browser's window: as high as Blender's
 PAGE_SECONDS = 40  # until a software renderer has drawn the first frame
 TEST_VIEWS = 8  # of the demo
 CAMERA = "Camera 42"  # which is the still life's active one
+LIVE_WIDTH = 800  # pixels of the pictures of the viewport
 BESIDE_WIDTH = 1400  # pixels of Blender and the page together
 SHEET_ROWS = (3, 8)  # of the contact sheet: how many are shown, and how many it has
 EDGE, TABS, MARGIN = 14, 60, 10  # pixels of the sidebar: left of its buttons, right of them, and below the last panel
@@ -46,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--blender", required=True, help="a full Blender, whose Python has JAX, Pillow and msgpack")
     parser.add_argument("--minutes", type=float, default=4.0, help="of training (default: %(default)s)")
     parser.add_argument("--keep", action="store_true", help="use the project of an earlier run: only take the pictures anew")
+    parser.add_argument("--only", choices=("object",), help="only the pictures of the baked scene as an object, of the demo's scene")
     options = parser.parse_args(arguments)
     if not (DEMO / "dataset").is_dir():
         sys.exit("There is no dataset in build/demo; run `make demo` first.")
@@ -54,14 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     OUT.mkdir(parents=True, exist_ok=True)
     blender = with_extension(options.blender)
     file = WORK / "still life.blend"
+    if options.only == "object":
+        object_pictures(blender)
+        return
     if not options.keep:
         make_project(blender, file, options.minutes)
-    photograph(blender, file)
+    photograph(blender, "panels", file)
     for name in PANELS:
         write(cropped(name), OUT / f"panel-{name}.png")
     web = next(WORK.glob("*.snerg/*/web"))
     write(beside(Image.open(WORK / "panels" / "blender.png"), page(web)), OUT / "blender-and-web.webp")
     write(contact_sheet(), OUT / "contact.webp")
+    object_pictures(blender)
     readme = ROOT / "README.md"
     readme.write_text(with_results(readme.read_text(), json.loads((DEMO / "report.json").read_text())))
 
@@ -76,14 +82,48 @@ def make_project(blender: Blender, file: Path, minutes: float) -> None:
         raise RuntimeError(f"Blender did not make the project: {(result.stdout + result.stderr)[-3000:]}")
 
 
-def photograph(blender: Blender, file: Path) -> None:
-    """Take the pictures of Blender's window into build/pictures/panels. Raises RuntimeError with the reason when that fails."""
-    folder = WORK / "panels"
+def object_pictures(blender: Blender) -> None:
+    """The baked scene of the demo as an object: in the viewport and the camera view of Blender's window, and as Blender renders it."""
+    photograph(blender, "live", DEMO / "scene")
+    crops = json.loads((WORK / "live" / "live.json").read_text())["crop"]
+    for name, rectangle in crops.items():
+        picture = Image.open(WORK / "live" / f"{name}.png").convert("RGB").crop(rectangle)
+        size = (LIVE_WIDTH, picture.height * LIVE_WIDTH // picture.width)
+        write(picture.resize(size, Image.Resampling.LANCZOS), OUT / f"object-{name}.webp")
+    photograph(blender, "growing", DEMO / "dataset")
+    write(growing(), OUT / "object-growing.webp")
+    rendered, volume = WORK / "rendered", WORK / "volume.vdb"
+    shutil.rmtree(rendered, ignore_errors=True)
+    rendered.mkdir()
+    made = blender.snerg("export-vdb", str(DEMO / "scene"), "--out", str(volume))  # openvdb comes with Blender, not with the module
+    if made.returncode:
+        raise RuntimeError(f"Blender wrote no volume: {(made.stdout + made.stderr)[-3000:]}")
+    script = ROOT / "tools" / "picture_object.py"
+    subprocess.run([sys.executable, str(script), str(DEMO / "scene"), str(volume), str(rendered)], check=True)
+    for name in ("f12", "composite", "volume"):
+        write(Image.open(rendered / f"{name}.png").convert("RGB"), OUT / f"object-{name}.webp")
+
+
+def growing() -> Image.Image:
+    """The previews of a training side by side."""
+    folder = WORK / "growing"
+    crop = json.loads((folder / "growing.json").read_text())["crop"]
+    pictures = [Image.open(path).convert("RGB").crop(crop) for path in sorted(folder.glob("growing-*.png"))]
+    side = LIVE_WIDTH // len(pictures)
+    strip = Image.new("RGB", (side * len(pictures), side))
+    for index, picture in enumerate(pictures):
+        strip.paste(picture.resize((side, side), Image.Resampling.LANCZOS), (index * side, 0))
+    return strip
+
+
+def photograph(blender: Blender, walk: str, file: Path) -> None:
+    """Take the pictures of Blender's window of a walk into build/pictures/WALK. Raises RuntimeError with the reason when that fails."""
+    folder = WORK / walk
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    script = ("--python", str(ROOT / "tools" / "picture_walk.py"), "--", "panels", str(folder), str(file))
+    folder.mkdir(parents=True)
+    script = ("--python", str(ROOT / "tools" / "picture_walk.py"), "--", walk, str(folder), str(file))
     result = blender.run("--enable-event-simulate", *script, screen=True, seconds=600)
-    report = folder / "panels.json"
+    report = folder / f"{walk}.json"
     error = json.loads(report.read_text())["error"] if report.is_file() else (result.stdout + result.stderr)[-3000:]
     if error:
         raise RuntimeError(f"The pictures of Blender were not taken: {error}")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 from ..baking.bake_field import bake_field
 from .check_out import check_out
 from .command import Command
-from .options import add_bake_options, add_codec_options, codec_settings, path
+from .options import add_bake_options, add_codec_options, artifact, codec_settings, path
 
 DEFAULT_BAKE = BakeSettings()
 
@@ -84,7 +84,7 @@ def images_to_refine_on(field: Field) -> Dataset | None:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg bake`."""
-    parser.add_argument("field", type=path, metavar="FIELD")
+    parser.add_argument("field", type=artifact, metavar="FIELD")
     parser.add_argument("--out", type=path, required=True, metavar="SCENE")
     add_bake_options(parser)
     add_codec_options(parser, "png")

@@ -17,7 +17,7 @@ from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
 from .export import published
-from .options import add_codec_options, codec_settings, path
+from .options import add_codec_options, artifact, codec_settings, path
 
 
 @writes_out("a bundle")
@@ -50,7 +50,7 @@ def bundle_scene(
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg bundle`."""
-    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
     parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")

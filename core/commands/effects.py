@@ -12,7 +12,7 @@ from ..export.scene_files import codec_of, is_scene
 from ..progress import Progress, silent
 from ..study.effects import Effect, of_dataset, of_field, of_scene
 from .command import Command
-from .options import path as path_argument
+from .options import artifact
 
 
 def effects(path: Path, progress: Progress = silent) -> Result:
@@ -45,7 +45,7 @@ def effects_text(result: Result) -> str:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg effects`."""
-    parser.add_argument("path", type=path_argument, metavar="PATH")
+    parser.add_argument("path", type=artifact, metavar="PATH")
 
 
 def run(options: argparse.Namespace, progress: Progress) -> Result:

@@ -15,7 +15,7 @@ from ..geometry.box import Box
 from ..progress import Progress, silent
 from ..training.config import PRESETS, TrainSettings
 from .command import Command
-from .options import add_bake_options, count, positive
+from .options import add_bake_options, artifact, count, positive
 from .options import path as path_argument
 from .train import settings_of
 
@@ -77,7 +77,7 @@ def _field_probe(path: Path, kept: Path | None, progress: Progress) -> FieldProb
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg estimate`."""
-    parser.add_argument("path", type=path_argument, metavar="DATASET_OR_FIELD")
+    parser.add_argument("path", type=artifact, metavar="DATASET_OR_FIELD")
     baked = parser.add_argument_group("of a field", "What a bake, its files and a preview take.")
     add_bake_options(baked)
     baked.add_argument(

@@ -8,12 +8,12 @@ from ..artifact import Result
 from ..progress import Progress
 from ..study.evaluate import evaluate
 from .command import Command
-from .options import add_dataset_options, add_march_options, march_settings, path
+from .options import add_dataset_options, add_march_options, artifact, march_settings, path
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg eval`."""
-    parser.add_argument("target", type=path, metavar="FIELD_OR_SCENE")
+    parser.add_argument("target", type=artifact, metavar="FIELD_OR_SCENE")
     parser.add_argument("dataset", type=path, nargs="?", metavar="DATASET", help="default: what the field was trained on")
     parser.add_argument("--dataset", type=path, dest="named_dataset", metavar="DATASET", help="the same, by name")
     parser.add_argument("--split", metavar="SPLIT", help="train, val or test (default: test, else val)")

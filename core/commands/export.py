@@ -15,7 +15,7 @@ from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
 from .info import info
-from .options import path
+from .options import artifact, path
 
 
 @writes_out("an export")
@@ -45,7 +45,7 @@ def published(scene: Path) -> Scene:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg export`."""
-    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
 
 

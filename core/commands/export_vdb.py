@@ -10,7 +10,7 @@ from ..errors import SnergError
 from ..export.vdb import write_vdb
 from ..progress import Progress, silent
 from .command import Command
-from .options import path
+from .options import artifact, path
 
 
 def export_vdb(scene: Path, out: Path, progress: Progress = silent) -> Result:
@@ -22,7 +22,7 @@ def export_vdb(scene: Path, out: Path, progress: Progress = silent) -> Result:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg export-vdb`."""
-    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="FILE.vdb")
 
 

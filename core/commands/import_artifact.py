@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..artifact import Result, kind_of, open_field, open_scene
+from ..artifact import Result, artifact_at, kind_of, open_field, open_scene
 from ..errors import SnergError
 from ..export.scene_files import write_scene
 from ..io.files import new_folder
@@ -15,7 +15,7 @@ from ..progress import Progress, silent, within
 from .check_out import check_out
 from .command import Command
 from .info import info
-from .options import path
+from .options import artifact, path
 
 
 @writes_out("an import")
@@ -25,6 +25,7 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
 
     Raises SnergError when `source` is neither, or damaged.
     """
+    source = artifact_at(source)
     kind = kind_of(source)
     check_out(out, {"reference scene": "scene", "page": "scene", "checkpoint": "field"}.get(kind, kind), source)
     if kind in ("scene", "page", "reference scene"):
@@ -41,7 +42,7 @@ def import_source(source: Path, out: Path, progress: Progress = silent) -> Resul
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg import`."""
-    parser.add_argument("source", type=path, metavar="SOURCE")
+    parser.add_argument("source", type=artifact, metavar="SOURCE")
     parser.add_argument("--out", type=path, required=True, metavar="PATH")
 
 

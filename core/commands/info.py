@@ -6,9 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from ..artifact import Result, kind_of, open_field
+from ..artifact import Result, artifact_at, kind_of, open_field
+from ..data.dataset import Dataset
+from ..data.depth import PASSES
 from ..data.load import read_dataset, read_split
 from ..errors import SnergError
 from ..export.reference import read_reference
@@ -26,7 +29,7 @@ from ..training.decisions import forward_facing
 from ..training.devices import device_report
 from ..training.training_folder import trainings_beside
 from .command import Command
-from .options import path as path_argument
+from .options import artifact
 
 
 def info(path: Path, progress: Progress = silent) -> Result:
@@ -35,7 +38,8 @@ def info(path: Path, progress: Progress = silent) -> Result:
 
     Raises SnergError when `path` is no dataset, field, checkpoint or scene.
     """
-    return one_generation(path, lambda: _info(path))
+    place = artifact_at(path)
+    return one_generation(place, lambda: _info(place))
 
 
 def _info(path: Path) -> Result:
@@ -66,6 +70,8 @@ def _dataset_info(path: Path) -> Result:
         "sizes": [list(size) for size in sorted({(camera.width, camera.height) for camera in cameras})],
         "alpha": transparent,
         "masks": sum(view.mask is not None for part in opened for view in part.views),
+        "depth": _depth_info(opened),
+        "passes": {name: sum(name in v.passes for part in opened for v in part.views) for name in PASSES},
         "distortion": lenses,
         "points": 0 if train.points is None else len(train.points),
         "bounds": None if train.bounds is None else [float(train.bounds[:, 0].min()), float(train.bounds[:, 1].max())],
@@ -75,6 +81,27 @@ def _dataset_info(path: Path) -> Result:
         "forward_facing": decision.chosen,
         "evidence": decision.evidence,
         "without_image": train.skipped_frames,
+    }
+
+
+def _depth_info(parts: list[Dataset]) -> Result | None:
+    """How many views have a depth image, how many name one that is missing, and the depth in the first, in world units; None without."""
+    named = [(part, index, view.depth) for part in parts for index, view in enumerate(part.views) if view.depth is not None]
+    if not named:
+        return None
+    there = [(part, index) for part, index, file in named if file.path.is_file()]
+    try:
+        values, problem = there[0][0].depth(there[0][1]) if there else None, {}
+    except SnergError as error:  # the dataset can be trained on without its depth
+        values, problem = None, {"problem": str(error)}
+    found = values[np.isfinite(values)] if values is not None else np.zeros(0)
+    return {
+        **problem,
+        "views": len(there),
+        "missing": len(named) - len(there),
+        "stored": "along the ray" if named[0][2].along_ray else "along the axis",
+        "unit": named[0][2].unit,
+        "first_view": [round(float(found.min()), 4), round(float(found.max()), 4)] if found.size else None,
     }
 
 
@@ -149,7 +176,7 @@ def page_cameras(path: Path) -> tuple[Camera, ...]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg info`."""
-    parser.add_argument("path", type=path_argument, nargs="?", metavar="PATH")
+    parser.add_argument("path", type=artifact, nargs="?", metavar="PATH")
     parser.add_argument("--devices", action="store_true", help="list the devices that training uses")
 
 

@@ -6,6 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
+from ..artifact import artifact_at
 from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings
 from ..data.dataset import DatasetOptions
 from ..errors import SnergError
@@ -20,6 +21,11 @@ def path(text: str) -> Path:
     if len(text) > LONGEST_PATH:
         raise argparse.ArgumentTypeError(f"a path of {len(text)} characters is longer than any system has")
     return Path(text)
+
+
+def artifact(text: str) -> Path:
+    """The path of a dataset, field or scene; given as one of its files, that of its folder. Raises as `path` does."""
+    return artifact_at(path(text))
 
 
 def count(text: str) -> int:

@@ -19,7 +19,7 @@ from ..rendering.render import MarchSettings, render_scene
 from ..study.evaluate import ready_scene
 from .check_out import check_out
 from .command import Command
-from .options import add_march_options, count, march_settings, path
+from .options import add_march_options, artifact, count, march_settings, path
 
 DEFAULT_MARCH = MarchSettings()
 
@@ -80,7 +80,7 @@ def file_names(names: Sequence[str]) -> list[str]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg render`."""
-    parser.add_argument("scene", type=path, metavar="SCENE")
+    parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
     parser.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")

@@ -10,13 +10,13 @@ from ..progress import Progress
 from ..study.pareto import StudyTarget
 from ..study.plan import StudySettings
 from .command import Command
-from .options import count, path, positive
+from .options import artifact, count, path, positive
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg study`."""
     default = StudySettings()
-    parser.add_argument("source", type=path, metavar="FIELD_OR_DATASET_OR_SCENE")
+    parser.add_argument("source", type=artifact, metavar="FIELD_OR_DATASET_OR_SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="DIR", help="folder of the report; an earlier study there is continued")
     parser.add_argument("--dataset", type=path, metavar="DATASET", help="to measure on (default: what the field was trained on)")
     for name, kind, letter, about in (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.images import read_image, read_mask, read_size, reduced
+from .depth import DepthFile, read_depth, read_pass
 
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
@@ -28,6 +30,8 @@ class View:
     mask_hides: bool = False  # for dynamic masks of instant-ngp
     factor: int = 1  # image pixels along a side that are averaged to one pixel of the camera
     image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
+    depth: DepthFile | None = None  # the depth image that the source names
+    passes: Mapping[str, Path] = field(default_factory=dict)  # other passes of a renderer by name: 'normal', 'diffuse', 'glossy'
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,35 @@ class Dataset:
         use = read_mask(view.mask, *(view.image_size or read_size(view.image)), view.mask_hides)[: height * factor, : width * factor]
         use = use.reshape(height, factor, width, factor).all(axis=(1, 3))
         return np.asarray(use if valid is None else use & valid)
+
+    def depth(self, index: int) -> NDArray[Any] | None:
+        """The depth of view `index` along the camera's axis (not the ray) in world units, float32 [H, W], NaN where there is no surface.
+
+        None where the dataset has none for the view. Read from disk at each call. Raises SnergError as `read_depth` does.
+        """
+        view = self.views[index]
+        return None if view.depth is None else read_depth(view.depth, view.camera, view.factor, self.scale)
+
+    def render_pass(self, index: int, name: str) -> NDArray[Any] | None:
+        """A pass of view `index` besides depth, float32 [H, W, 3 or 4]; None where the dataset has none for the view.
+
+        name: 'normal' (unit vectors in the world's axes, 0 where there is no surface), 'diffuse' or 'glossy' (linear light, premultiplied
+        RGBA). Read from disk at each call. Raises SnergError as `read_pass` does.
+        """
+        view = self.views[index]
+        if name not in view.passes:
+            return None
+        values = read_pass(view.passes[name], view.camera, view.factor)
+        if name != "normal":
+            return values
+        turned = values[..., :3] @ (self.source_to_world[:3, :3] / self.scale).T.astype(np.float32)
+        length = np.linalg.norm(turned, axis=-1, keepdims=True)
+        return np.asarray(turned / np.where(length > 0, length, 1), np.float32)
+
+    @property
+    def scale(self) -> float:
+        """World units a unit of the source's poses."""
+        return float(np.cbrt(np.linalg.det(self.source_to_world[:3, :3])))
 
     def splits(self) -> tuple[str, ...]:
         """The names of all splits of the capture, 'train' first."""

@@ -28,6 +28,7 @@ SNERG_KEY = "snerg_for_blender"  # holds what the layout has no key for, so that
 VIEWABLE_SIDES = (1.0, 4.0)  # viewer units: the longest side of a box that the viewer's first view shows well
 SCALED_SIDE = 2.0  # viewer units: the longest side that other boxes are scaled to
 VIEWER_SIZE, VIEWER_ANGLE = (1280, 720), math.radians(35)  # image and vertical angle of view of the viewer's first view
+VIEWER_FRAME = {"input_focal": 755.644059435, "input_width": 1006.0, "input_height": 756.0}  # the published viewer's, for scenes without
 FRAME_TO_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of other tools: looks along y, z up
 NETWORK_KEYS = ("0_weights", "0_bias", "1_weights", "1_bias", "2_weights", "2_bias")  # in the order of ViewNetwork's fields
 
@@ -141,30 +142,38 @@ def read_params(folder: Path) -> ReferenceParams:
 
 
 def _params(value: dict[str, Any]) -> ReferenceParams:
-    if value["format"] != "png":
+    if value.get("format", "png") != "png":
         raise ValueError(f"its images are of format {value['format']!r}; only 'png' is read")
     if int(value["block_size"]) != DATA_VOXELS:
         raise ValueError(f"its blocks are of {value['block_size']} voxels; only {DATA_VOXELS} are read")
     x, y, z = (_count(value, key, MAX_BLOCKS * DATA_VOXELS) for key in ("grid_width", "grid_height", "grid_depth"))
-    ours = value.get(SNERG_KEY, {})
+    ours, forward = value.get(SNERG_KEY, {}), bool(value.get("ndc"))
     return ReferenceParams(
         voxel_size=_finite(value, "voxel_size", positive=True),
         shape=(x, y, z),
         low=np.array([_finite(value, f"min_{axis}") for axis in "xyz"]),
         atlas=_atlas(value),
-        pose=_frame_pose(value["worldspace_T_opengl"]) if value["ndc"] else _pose(value["worldspace_T_opengl"]),
+        pose=_frame_pose(value["worldspace_T_opengl"]) if forward else _pose(value["worldspace_T_opengl"]),
         network=_network(value) if "0_bias" in value else None,
         ours=ours if isinstance(ours, dict) else {},
-        ndc=_ndc(value) if value["ndc"] else None,
+        ndc=_ndc(value) if forward else None,
     )
 
 
 def _atlas(value: dict[str, Any]) -> tuple[int, int, int]:
-    """Cells of the atlas along x, y and z; raises ValueError when its size in voxels or its slices do not match them."""
-    x, y, z = (_count(value, f"atlas_blocks_{axis}", MAX_ATLAS_CELLS) for axis in "xyz")
-    for key, cells in zip(("atlas_width", "atlas_height", "atlas_depth"), (x, y, z), strict=True):
-        if int(value[key]) != cells * CELL_VOXELS:
-            raise ValueError(f"{key} is {value[key]} where its blocks make {cells * CELL_VOXELS}")
+    """Cells of the atlas along x, y and z, from its size in voxels.
+
+    Raises ValueError when that is no multiple of a cell, or atlas_blocks_x, _y, _z (which the viewer does not read) or num_slices do
+    not match it.
+    """
+    found = []
+    for axis, key in zip("xyz", ("atlas_width", "atlas_height", "atlas_depth"), strict=True):
+        voxels = _count(value, key, MAX_ATLAS_CELLS * CELL_VOXELS)
+        cells = _count(value, f"atlas_blocks_{axis}", MAX_ATLAS_CELLS) if f"atlas_blocks_{axis}" in value else voxels // CELL_VOXELS
+        if voxels != cells * CELL_VOXELS or not cells:
+            raise ValueError(f"{key} is {value[key]} where its blocks make {max(cells, 1) * CELL_VOXELS}")
+        found.append(cells)
+    x, y, z = found
     if int(value["num_slices"]) * SLICE_PLANES != z * CELL_VOXELS:
         raise ValueError(f"num_slices is {value['num_slices']} where the atlas makes {slice_count((x, y, z))}")
     return x, y, z
@@ -208,8 +217,9 @@ def _frame_pose(rows: Any) -> NDArray[Any]:
 
 
 def _ndc(value: dict[str, Any]) -> Ndc:
-    """The frame of a forward-facing scene of another tool, with its near plane at 1."""
-    focal, width, height = (_finite(value, f"input_{key}", positive=True) for key in ("focal", "width", "height"))
+    """The frame of a forward-facing scene of another tool, with its near plane at 1; where none is stated, the published viewer's own."""
+    stated = value if "input_focal" in value else VIEWER_FRAME
+    focal, width, height = (_finite(stated, f"input_{key}", positive=True) for key in ("focal", "width", "height"))
     return Ndc(FRAME_TO_WORLD, (2 * focal / width, 2 * focal / height), 1.0)
 
 

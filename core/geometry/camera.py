@@ -19,7 +19,6 @@ from ..io.schema import FAR, text
 from .distortion import Distortion
 
 PROJECTIONS = ("perspective", "orthographic")
-MIN_COSINE = 1e-3  # between a ray and the view axis; a ray nearer to 90 degrees, as a fisheye has, does not meet the clip planes
 MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
 
 
@@ -147,13 +146,6 @@ class Camera:
         """Whether world points [N, 3] lie in the camera's frustum, bool [N]. Occlusion is not considered."""
         pixels, depth = self.project(points)
         return np.asarray((depth > self.near) & (depth < self.far) & ((pixels >= 0) & (pixels <= [self.width, self.height])).all(axis=-1))
-
-    def clip(self, directions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """(near, far): distances [N] along rays of directions [N, 3] to the clip planes, which are planes as in Blender."""
-        cosine = -(directions @ self.camera_to_world[:3, 2])
-        ahead = cosine > MIN_COSINE
-        cosine = np.where(ahead, cosine, 1.0)
-        return np.where(ahead, self.near / cosine, 0.0), np.where(ahead, self.far / cosine, np.inf)
 
     def toward(self, points: NDArray[Any]) -> NDArray[Any]:
         """View directions of world points [N, 3], unit vectors [N, 3] float64; undefined for a point at the camera's position."""

@@ -66,7 +66,7 @@ class Ndc:
         return np.asarray(local @ self.camera_to_world[:3, :3].T + self.camera_to_world[:3, 3])
 
     def rays(
-        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float
+        self, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float, far: NDArray[Any] | None = None
     ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
         """World rays (origins and unit directions [N, 3]) to rays in NDC with near and far [N]: see `space_rays`."""
         start, toward, alive = self._starts(origins, directions, near)
@@ -76,8 +76,9 @@ class Ndc:
         direction = np.concatenate([along, -toward[:, 2:] * (1 - point[:, 2:])], axis=-1)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         direction = np.where(alive[:, None], direction, [0.0, 0.0, 1.0])
-        far = np.where(alive, (1 - point[:, 2]) / direction[:, 2], 0)
-        return point, direction, np.zeros(len(point)), far
+        end = 1.0 if far is None else self._device_depth(self._local(origins)[:, 2] + far * toward[:, 2])
+        length = np.where(alive, (end - point[:, 2]) / direction[:, 2], 0)
+        return point, direction, np.zeros(len(point)), np.maximum(length, 0)
 
     def distance(
         self, origins: NDArray[Any], directions: NDArray[Any], along: NDArray[Any], near: NDArray[Any] | float = 0.0
@@ -97,6 +98,10 @@ class Ndc:
     def _device(self, xy: NDArray[Any], z: NDArray[Any]) -> NDArray[Any]:
         """Camera axes to NDC; z < 0."""
         return np.concatenate([-np.array(self.focal) * xy / z[:, None], (1 + 2 * self.near / z)[:, None]], axis=-1)
+
+    def _device_depth(self, z: NDArray[Any]) -> NDArray[Any]:
+        """z' in NDC [N] from z in the camera's axes [N]; far below -1 behind the camera. The inverse of `_depth`."""
+        return np.asarray(1 + 2 * self.near / np.minimum(z, -DEPTH_EPSILON * self.near))
 
     def _depth(self, z: NDArray[Any]) -> NDArray[Any]:
         """z in the camera's axes [N] from z' in NDC [N]."""
@@ -120,21 +125,26 @@ class Ndc:
 
 
 def space_rays(
-    ndc: Ndc | None, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float = 0.0
+    ndc: Ndc | None,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    near: NDArray[Any] | float = 0.0,
+    far: NDArray[Any] | None = None,
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Convert world rays to the space in which the field is sampled: NDC, or the world where `ndc` is None.
 
-    origins, directions: [N, 3], the directions of length 1. near: [N] or one float >= 0, distance in world units at which a ray begins.
+    origins, directions: [N, 3], the directions of length 1. near: [N] or one float >= 0, distance in world units at which a ray begins;
+    far: [N], at which it ends, infinite where it is None.
     Returns (origins [N, 3], unit directions [N, 3], near [N], far [N]), float64, lengths in units of that space.
-    Without NDC the rays are unchanged, and far is infinite. With NDC a ray begins at the near plane, or at `near` where that is
-    farther, so that its near is 0; its far is the distance to z' = 1, which is infinity in the world. A ray that is parallel to the
+    Without NDC the rays are unchanged. With NDC a ray begins at the near plane, or at `near` where that is
+    farther, so that its near is 0; an infinite far is the distance to z' = 1. A ray that is parallel to the
     near plane or points away from it sees nothing (hard case 9): its far equals its near, and its origin and direction are chosen
-    so that it meets no box that ends near z' = 1. All results are finite, except far without NDC.
+    so that it meets no box that ends near z' = 1. All results are finite, except an infinite far without NDC.
     """
     if ndc is not None:
-        return ndc.rays(origins, directions, near)
+        return ndc.rays(origins, directions, near, far)
     count = len(origins)
-    return origins, directions, np.broadcast_to(np.asarray(near, np.float64), (count,)), np.full(count, np.inf)
+    return origins, directions, np.broadcast_to(np.asarray(near, np.float64), (count,)), np.full(count, np.inf) if far is None else far
 
 
 def world_distance(

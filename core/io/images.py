@@ -52,6 +52,17 @@ def read_image(path: Path) -> NDArray[Any]:
         return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
 
 
+def read_numbers(path: Path) -> NDArray[Any]:
+    """The numbers of an image of one channel as they are stored, uint8, uint16, int32 or float32 [H, W], as depth is written.
+
+    Raises SnergError as `read_image` does, and for an image of several channels.
+    """
+    with _open(path) as image, reading(path, "write it again", f"The image {path}"):
+        if image.mode not in ("L", *DEEP):
+            raise SnergError(f"The image {path} has the channels {', '.join(image.getbands())} where one of 16 bits is needed.")
+        return np.asarray(image)
+
+
 def read_mask(path: Path, width: int, height: int, hides: bool = False) -> NDArray[Any]:
     """Read a mask and resize it to the image's size: bool [height, width], True for pixels to use.
 

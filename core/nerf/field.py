@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -49,8 +49,7 @@ class Field:
     def _compiled(self) -> Callable[[NDArray[Any]], tuple[Any, Any]]:
         import jax
 
-        inputs = jax.jit(lambda x: field_inputs(jax.numpy, self.family, x))
-        outputs = jax.jit(lambda params, given: field_outputs(jax.numpy, self.family, params, given))
+        inputs, outputs = _compiled_family(self.family)
         params = jax.device_put(self.params)
         return lambda x: outputs(params, inputs(x))
 
@@ -111,6 +110,15 @@ class Field:
         if self.occupancy is not None:
             inside &= self.occupancy[cell_index(x)]
         return np.asarray(inside)
+
+
+@cache
+def _compiled_family(family: ModelConfig) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """`field_inputs` and `field_outputs` of a family, compiled once for all of its fields: a training bakes many of them."""
+    import jax
+
+    inputs = jax.jit(lambda x: field_inputs(jax.numpy, family, x))
+    return inputs, jax.jit(lambda params, given: field_outputs(jax.numpy, family, params, given))
 
 
 def in_chunks(function: Callable[[NDArray[Any]], Sequence[Any]], x: NDArray[Any], size: int = CHUNK) -> tuple[NDArray[Any], ...]:

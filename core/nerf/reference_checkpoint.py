@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..io.guard import check_file, reading
+from ..io.schema import FAR
 from .field import Field
 from .mlp import FEATURES, Dense, Trunk, activate, trunk
 from .model import SHAPES, VIEW_DEGREES, MlpModelConfig, ViewNetwork, view_residual
@@ -41,7 +42,17 @@ OTHER_FILES = (
     (rb"\x93NUMPY", "a NumPy array"),
     (rb"\s*[\[{]", "JSON"),
 )
-REACH = 1.5  # what the reference's scenes keep to on every axis; a checkpoint does not say
+BOX_SCALE = 1.7  # half the side of the cube that is baked: the default of snerg_box_scale in the reference's configuration
+BOX_SCALE_LINE = re.compile(rb"^snerg_box_scale\s*:\s*([0-9.eE+-]+)\s*(?:#.*)?$", re.MULTILINE)  # in a configuration, YAML
+MAX_CONFIGURATION = 2**16  # bytes of a configuration; the published ones have 500
+ORBAX_MARKS = ("_CHECKPOINT_METADATA", "_METADATA", "manifest.ocdbt", "checkpoint")  # files of a checkpoint that Orbax wrote
+PLACES = (
+    ("optimizer", "target", "params"),
+    ("target", "params"),
+    ("params", "params"),
+    ("params",),
+    (),
+)  # of the networks: flax's, old to new
 SAMPLES_ACROSS = 512  # of that extent, when the field itself is rendered
 
 
@@ -56,6 +67,18 @@ class ReferenceCheckpoint:
     family: MlpModelConfig
     trunk: Trunk
     network: ViewNetwork | None
+    box_scale: float = BOX_SCALE  # half the side of the cube round the origin that the reference bakes
+
+
+def is_orbax(path: Path) -> bool:
+    """Whether `path` is a folder that Orbax wrote: a checkpoint, one of its items, or a folder of checkpoints by their steps."""
+    try:
+        if not path.is_dir() or find_checkpoint(path) is not None:
+            return False
+        inside = [path, *(step for step in path.iterdir() if step.is_dir() and re.fullmatch(r"(checkpoint_)?\d+|default|state", step.name))]
+        return any((folder / mark).is_file() for folder in inside for mark in ORBAX_MARKS)
+    except OSError:
+        return False  # no permission to list the folder
 
 
 def find_checkpoint(path: Path) -> Path | None:
@@ -73,6 +96,11 @@ def read_reference_checkpoint(path: Path) -> ReferenceCheckpoint:
     the message names, is not finite.
     """
     found = find_checkpoint(Path(path))
+    if found is None and is_orbax(Path(path)):
+        raise SnergError(
+            f"{path} is an Orbax checkpoint, which is a folder of arrays that SNeRG does not read; restore it in Python with Orbax, write "
+            "flax.serialization.msgpack_serialize({'params': params}) into a file checkpoint_1, and import that file."
+        )
     if found is None:
         raise SnergError(f"There is no checkpoint at {path}; give a checkpoint_<step> file, or the folder that holds it.")
     with reading(found, "copy it again"):
@@ -80,8 +108,8 @@ def read_reference_checkpoint(path: Path) -> ReferenceCheckpoint:
 
 
 def _read(found: Path) -> ReferenceCheckpoint:
-    optimizer = _mapping(_unpack(found), "optimizer", found)
-    networks = _mapping(_mapping(optimizer, "target", found), "params", found)
+    tree = _unpack(found)
+    networks = _networks(tree, found)
     names = BAKED.get(tuple(sorted(map(str, networks))))
     if names is None:
         held = ", ".join(sorted(map(str, networks))[:8])[:100] or "nothing"
@@ -91,9 +119,40 @@ def _read(found: Path) -> ReferenceCheckpoint:
     layers = _layers(networks, names[0], found)
     family, features = _read_trunk(layers, names[0], found)
     if names[1] is None:
-        return ReferenceCheckpoint(_step(optimizer, found), family, layers, None)
+        return ReferenceCheckpoint(_step(tree, found), family, layers, None, _box_scale(found.parent))
     network = _view_network(_layers(networks, names[1], found), features, names[1], found)
-    return ReferenceCheckpoint(_step(optimizer, found), family, _padded(layers), network)
+    return ReferenceCheckpoint(_step(tree, found), family, _padded(layers), network, _box_scale(found.parent))
+
+
+def _networks(tree: Any, path: Path) -> Mapping[Any, Any]:
+    """The networks of a checkpoint by name, where flax.optim puts them or where a TrainState of newer flax does.
+
+    Raises SnergError, which says what the file holds instead and what to write, where there are none.
+    """
+    for place in PLACES:
+        inner = tree
+        for name in place:
+            inner = inner.get(name) if isinstance(inner, Mapping) else None
+        if isinstance(inner, Mapping) and inner and (place or "MLP_0" in inner) and "params" not in inner:
+            return inner
+    held = ", ".join(sorted(map(str, tree))[:8])[:100] if isinstance(tree, Mapping) and tree else type(tree).__name__
+    raise SnergError(
+        f"{path} is not a checkpoint of the SNeRG code: it holds {held}, and no networks under 'optimizer' or 'params'; write "
+        "flax.serialization.msgpack_serialize({'params': params}) with its MLP_0 to MLP_3, and import that file."
+    )
+
+
+def _box_scale(folder: Path) -> float:
+    """snerg_box_scale of the configuration (*.yaml) in the checkpoint's folder; the reference's default where none states it."""
+    for path in sorted((*folder.glob("*.yaml"), *folder.glob("*.yml"))):
+        try:
+            found = BOX_SCALE_LINE.search(path.read_bytes()) if path.is_file() and path.stat().st_size <= MAX_CONFIGURATION else None
+            scale = float(found[1]) if found else 0.0
+        except (OSError, ValueError):
+            continue
+        if 0 < scale <= FAR:
+            return scale
+    return BOX_SCALE
 
 
 def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, directions: Any) -> tuple[Any, Any, Any, Any]:
@@ -110,19 +169,19 @@ def reference_mlp(xnp: Any, checkpoint: ReferenceCheckpoint, points: Any, direct
 
 
 def field_of(checkpoint: ReferenceCheckpoint, source: str) -> Field:
-    """The field of a checkpoint, to be baked. Field coordinates are world coordinates, and the domain is [-1.5, 1.5]^3.
+    """The field of a checkpoint, to be baked. Field coordinates are world coordinates, and the domain is [-box_scale, box_scale]^3.
 
     The field has no cameras and no dataset, because a checkpoint contains neither: a bake can use neither visibility culling nor
     fine-tuning.
     """
-    reach = np.full(3, REACH)
+    reach = np.full(3, checkpoint.box_scale)
     return Field(
         family=checkpoint.family,
         params=checkpoint.trunk,
         network=checkpoint.network,
         domain=Domain(np.zeros(3), 1.0, -reach, reach),
         occupancy=None,
-        spacing=2 * REACH / SAMPLES_ACROSS,
+        spacing=2 * checkpoint.box_scale / SAMPLES_ACROSS,
         about={"source": source, "family": type(checkpoint.family).__name__, "steps": checkpoint.step},
         view="deferred" if checkpoint.network else "diffuse",
     )
@@ -189,8 +248,10 @@ def _mapping(value: Any, name: str, path: Path) -> Mapping[Any, Any]:
     return inner
 
 
-def _step(optimizer: Mapping[Any, Any], path: Path) -> int:
-    step = _mapping(optimizer, "state", path).get("step", 0)
+def _step(tree: Mapping[Any, Any], path: Path) -> int:
+    """The number of training steps, 0 where the checkpoint has none."""
+    state = tree["optimizer"].get("state") if isinstance(tree.get("optimizer"), Mapping) else tree
+    step = state.get("step", 0) if isinstance(state, Mapping) else 0
     try:
         return int(step if isinstance(step, int) else _array(step))
     except Exception as error:

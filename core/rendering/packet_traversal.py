@@ -19,12 +19,12 @@ PARALLEL_EPSILON = 1e-12  # magnitude of a direction's component (float64) below
 
 
 def intersect_grid(
-    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float | NDArray[Any], far: NDArray[Any] | None = None
+    scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any] | float, far: NDArray[Any] | None = None
 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Clip rays of the world against the grid (slab test) and express them in voxels.
 
-    origins, directions: [N, 3] float64, directions of unit length. near, far: world units along the ray, for all or [N]; far is not
-    applied in NDC.
+    origins, directions: [N, 3] float64, directions of unit length. near, far: world units along the ray, [N] or one for all, between
+    which it sees; far is infinite where it is None.
 
     Returns the entry point and the unit direction, both [3, N] float32 in voxel coordinates, and the distances [N] float64, in voxels
     from the ray's origin (in NDC: from the near plane), at which the ray enters and leaves the grid; the latter is -1 for a miss.
@@ -33,13 +33,11 @@ def intersect_grid(
     slab for its whole length or misses the grid (hard cases 31, 32).
     """
     rotation = scene.grid_to_world[:3, :3]
-    origins, directions, begins, _ = space_rays(scene.ndc, origins, directions, near)
+    origins, directions, begins, ends = space_rays(scene.ndc, origins, directions, near, far)
     local = rotation.T @ (origins - scene.grid_to_world[:3, 3]).T
     local /= scene.voxel_size
     local_directions = rotation.T @ directions.T
-    start, stop = begins / scene.voxel_size, np.full(len(origins), np.inf)
-    if far is not None and scene.ndc is None:
-        stop = far / scene.voxel_size
+    start, stop = begins / scene.voxel_size, np.full(len(origins), np.inf) if far is None else ends / scene.voxel_size
     enters = np.full(len(origins), -np.inf)
     for origin, direction, size in zip(local, local_directions, scene.shape, strict=True):
         parallel = np.abs(direction) < PARALLEL_EPSILON

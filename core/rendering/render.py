@@ -35,6 +35,7 @@ RAYS_PER_PASS = 16384
 TILE = 8  # pixels along the side of a tile; its 64 rays are one packet
 PROGRESS_SECONDS = 0.03  # between two calls of `progress`
 PREVIEW_TOLERANCE = 0.5 / 255  # half a level of an 8-bit picture: the error cannot be seen
+PARALLEL_EPSILON = 1e-6  # smallest cosine to the view axis that is divided by
 FIRST_REDUCTION = 4  # factor by which the first picture of a progressive render is smaller along each side
 
 
@@ -50,10 +51,22 @@ class MarchSettings:
     skip: bool = True  # skip empty space; the picture is the same without, but takes longer
 
 
-def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent) -> Frame:
-    """Render a baked scene from a camera. `progress` may raise Cancelled, which stops the march within tenths of a second."""
+def render_scene(
+    scene: Scene,
+    camera: Camera,
+    settings: MarchSettings = MarchSettings(),
+    progress: Progress = silent,
+    clip: tuple[float, float] | None = None,
+) -> Frame:
+    """Render a baked scene from a camera. `progress` may raise Cancelled, which stops the march within tenths of a second.
+
+    clip: world units along the view axis; what is nearer than the first and farther than the second is not seen, as in Blender. By
+    default the camera's own.
+    """
     pixels = tiled_pixels(camera.width, camera.height)
-    rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, scene.near, camera=camera)
+    span = _seen_span(scene, camera, pixels, clip)
+    near = span[0]
+    rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, span)
     colour, alpha = rays.colour, 1 - rays.transmittance
     depth = np.where(alpha > 0, rays.depth / np.maximum(alpha, 1e-6), np.float32(np.inf))
 
@@ -61,8 +74,7 @@ def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSe
         """Depth in the world and view dependence of the pixels that are not empty, in place."""
         rows = part.start + np.flatnonzero(alpha[part] > 0)
         origins, directions = camera.rays(pixels[rows])
-        begins = np.maximum(camera.clip(directions)[0], scene.near)
-        depth[rows] = world_distance(scene.ndc, origins, directions, depth[rows], begins)
+        depth[rows] = world_distance(scene.ndc, origins, directions, depth[rows], near[rows])
         if not settings.per_sample_network:
             colour[rows] = shade(scene.network, rays.part(rows), directions @ scene.view_rotation.T)
 
@@ -92,6 +104,20 @@ def tiled_pixels(width: int, height: int) -> NDArray[Any]:
     return np.stack([column.reshape(-1), row.reshape(-1)], axis=-1)
 
 
+def _seen_span(
+    scene: Scene, camera: Camera, pixels: NDArray[Any], clip: tuple[float, float] | None
+) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    """World units along the rays of pixels [N, 2], each [N] or None for infinity: where they begin, and where they end."""
+    begin, end = clip or (camera.near, camera.far)
+    if begin == 0 and end == np.inf:
+        return np.full(len(pixels), scene.near), None
+    _, directions = camera.rays(pixels)
+    cosines = directions @ -camera.camera_to_world[:3, 2]
+    ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
+    cosines = np.where(ahead, cosines, 1)
+    return np.maximum(scene.near, begin / cosines), np.where(ahead, end / cosines, np.inf)
+
+
 def march_rays(
     scene: Scene,
     origins: NDArray[Any],
@@ -107,7 +133,8 @@ def march_rays(
     near: world units along the ray. visited: bool [M * 32^3] or None; set to True at the voxels that samples fell into (see RayMarcher);
     these are always a block's own voxels, not its apron.
     """
-    return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, near, visited)
+    span = np.full(len(origins), near), None
+    return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, span, visited)
 
 
 def _march(
@@ -116,15 +143,11 @@ def _march(
     count: int,
     settings: MarchSettings,
     progress: Progress,
-    near: float,
+    span: tuple[NDArray[Any], NDArray[Any] | None],
     visited: NDArray[Any] | None = None,
-    camera: Camera | None = None,
 ) -> Composited:
-    """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3].
-
-    camera: clips the rays at its clip planes, if given.
-    """
-    march = _March(scene, rays, count, settings, near, camera)
+    """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3]. span: see `_seen_span`."""
+    march = _March(scene, rays, count, settings, span)
     chunk = min(MAX_CHUNK_RAYS, max(-(-count // (settings.threads * PACKET_RAYS)), 1) * PACKET_RAYS)
     queue = RayQueue(march.make_batch, _chunks(0, count, chunk), settings.threads)
     stop = settings.stop_transmittance
@@ -148,10 +171,10 @@ class _March:
         rays: Callable[[slice], tuple[NDArray[Any], NDArray[Any]]],
         count: int,
         settings: MarchSettings,
-        near: float,
-        camera: Camera | None,
+        span: tuple[NDArray[Any], NDArray[Any] | None],
     ) -> None:
-        self.scene, self.rays, self.near, self.camera, self.skip = scene, rays, near, camera, settings.skip
+        self.scene, self.rays, self.skip = scene, rays, settings.skip
+        self.near, self.far = span
         self.acceleration = acceleration_of(scene)
         self.output = MarchOutput(np.zeros((count, self.acceleration.channels), np.float32), np.ones(count, np.float32))
         self.start = np.zeros(count, np.float32)  # voxels from a ray's origin to where it enters the grid
@@ -169,10 +192,7 @@ class _March:
         origins, directions = self.rays(part)
         if self.per_sample:
             self.view_directions[part] = directions @ self.scene.view_rotation.T
-        if self.camera is None:
-            return intersect_grid(self.scene, origins, directions, self.near)
-        near, far = self.camera.clip(directions)
-        return intersect_grid(self.scene, origins, directions, np.maximum(near, self.scene.near), far)
+        return intersect_grid(self.scene, origins, directions, self.near[part], None if self.far is None else self.far[part])
 
     def view_residual(self, colour: NDArray[Any], features: NDArray[Any], index: NDArray[Any]) -> NDArray[Any]:
         """View dependence of samples (see ray_marcher.ViewResidual)."""

@@ -23,6 +23,9 @@ from .state import TrainState
 
 SAVE_SHARE = 0.02  # of the time, at most, goes into saving
 LOG_EVERY = 2.0  # seconds of training between two lines of the log
+PREVIEW_SHARE = 0.04  # of the whole training's time, at most, goes into previews
+PREVIEW_EVERY = 10.0  # seconds between two previews, at least
+FIRST_PREVIEW = 2.0  # seconds that the first preview is taken to need; later ones are measured
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,8 @@ class Saver:
     It saves less often where saving would take more than SAVE_SHARE of the time.
 
     checkpoint: a function that returns the present field and the arrays from which training resumes. step, held_out_psnr: those of the
-    training when it begins or is resumed. Raises SnergError when the folder cannot be written.
+    training when it begins or is resumed. preview: called now and then with the field that was just saved, and the fraction done.
+    Raises SnergError when the folder cannot be written.
     """
 
     def __init__(
@@ -95,8 +99,11 @@ class Saver:
         save_every: float,
         step: int = 0,
         held_out_psnr: float | None = None,
+        preview: Callable[[Field, float], None] | None = None,
     ) -> None:
         self._folder, self._checkpoint, self._save_every = folder, checkpoint, save_every
+        self._preview, self._preview_cost = preview, FIRST_PREVIEW
+        self._previewed: TrainProgress | None = None  # the progress at the last preview, or at the beginning
         self._log = Log(folder, step)
         self._saved_at, self._cost = time.perf_counter(), 0.0
         self._logged_at = -math.inf
@@ -114,12 +121,26 @@ class Saver:
             self._log.add(**at, held_out_psnr=round(report.held_out, 3))
         if time.perf_counter() - self._saved_at > max(self._save_every, self._cost / SAVE_SHARE):
             self.save()
+        if self._preview is not None and self._preview_is_due(report):
+            began = time.perf_counter()
+            self._preview(self.save(), report.fraction)
+            self._preview_cost, self._previewed = time.perf_counter() - began, report
 
-    def save(self) -> None:
-        """Replace the field on disk, whole or not at all; Ctrl-C waits until it is done."""
+    def _preview_is_due(self, report: TrainProgress) -> bool:
+        """Whether there is time for a preview: of PREVIEW_SHARE of the whole training's time, the part sqrt(fraction) may be spent after
+        a fraction of it, so that previews are frequent at first, when the field changes most."""
+        if self._previewed is None:
+            self._previewed = report
+        last, allowed = self._previewed, PREVIEW_SHARE * report.seconds / max(report.fraction, 1e-6)
+        earned = allowed * (math.sqrt(report.fraction) - math.sqrt(last.fraction))
+        return report.fraction < 1 and report.seconds - last.seconds >= PREVIEW_EVERY and earned >= self._preview_cost
+
+    def save(self) -> Field:
+        """Replace the field on disk, whole or not at all, and return it; Ctrl-C waits until it is done."""
         began = time.perf_counter()
         with SAVING:
             field, state = self._checkpoint()
             write_field(field, self._folder, state)
         self._saved_at = time.perf_counter()
         self._cost = self._saved_at - began
+        return field

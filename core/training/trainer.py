@@ -7,7 +7,7 @@ import ctypes.util
 import sys
 import time
 from ast import literal_eval
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -190,12 +190,13 @@ def train(
     progress: Progress = silent,
     resume: bool = False,
     save_every: float = 60.0,
+    preview: Callable[[Field, float], None] | None = None,
 ) -> Field:
     """Train a field, and write it and its log to `folder`: every `save_every` seconds, when cancelled and at the end.
 
     resume: go on with the training in the folder. A kill loses what was trained since the last save. Of several processes only the
-    first writes. Returns the trained field. Raises SnergError on bad input or when training goes wrong (then the last good state is
-    on disk), Cancelled when `progress` does.
+    first writes. preview: called now and then with the field so far and the fraction done (see Saver). Returns the trained field.
+    Raises SnergError on bad input or when training goes wrong (then the last good state is on disk), Cancelled when `progress` does.
     """
     trainer = Trainer(dataset, settings, progress, held_out_of(dataset))
     if resume:
@@ -204,7 +205,7 @@ def train(
         progress(trainer.fraction(), Note(decision.text()))
     saver = None
     if trainer.devices.writes:
-        saver = Saver(folder, trainer.checkpoint, save_every, trainer.state.step, trainer.held_out_psnr)
+        saver = Saver(folder, trainer.checkpoint, save_every, trainer.state.step, trainer.held_out_psnr, preview)
     with saved_when_stopped(trainer, saver):
         run_to_the_end(trainer, saver, progress)
     field = trainer.field()

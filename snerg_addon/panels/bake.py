@@ -9,16 +9,18 @@ import bpy
 
 from .. import estimate_panel
 from ..project import project_of
-from .layout import LINE_WIDTH, StepPanel, decibels, draw_box, joined, megabytes
+from .layout import LINE_WIDTH, Step, decibels, draw_box, joined, megabytes
 from .versions import draw_versions, made_with
 
 
-class SNERG_PT_bake(StepPanel, bpy.types.Panel):
+class BakeStep(Step):
     """The baked scene"""
 
-    bl_label = "Bake"
-    bl_idname = "SNERG_PT_bake"
-    done = "scene"
+    key, label, done = "bake", "Bake", "scene"
+
+    def draw_header(self, header: bpy.types.UILayout) -> None:
+        """Importing, in place of baking."""
+        header.operator("snerg.import_scene", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the estimate, the buttons, and the versions."""

@@ -6,15 +6,16 @@ from typing import Any
 
 import bpy
 
-from ..bridge import box_of
-from .layout import StepPanel, draw_box
+from .. import overlay
+from ..bridge import box_of, size_text
+from .layout import Step, draw_box
 
 
-class SNERG_PT_box(StepPanel, bpy.types.Panel):
+class BoxStep(Step):
     """The part of the world that is baked"""
 
-    bl_label = "Box"
-    bl_idname = "SNERG_PT_box"
+    key, label = "box", "Box"
+    has_command = False
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether a box is chosen that still exists."""
@@ -28,7 +29,7 @@ class SNERG_PT_box(StepPanel, bpy.types.Panel):
         if settings.box and box is None:
             draw_box(layout, f"{settings.box.name} was deleted; add a new box")
         if box:
-            size = [2 * abs(s) * box.empty_display_size for s in box.matrix_world.to_scale()]
-            unit = context.scene.unit_settings
-            texts = [bpy.utils.units.to_string(unit.system, "LENGTH", s * unit.scale_length, precision=3) for s in size]
-            draw_box(layout, " x ".join(texts), "Move, rotate and scale it in the viewport")
+            draw_box(layout, size_text(box, context.scene), "Drag the arrows on its faces, or", "move, rotate and scale it")
+            layout.prop(settings, "show_voxels")
+            if settings.show_voxels and (each := overlay.voxels_a_line(context.scene)) > 1:
+                layout.label(text=f"A square stands for {each} x {each} voxels")

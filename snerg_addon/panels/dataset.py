@@ -11,21 +11,24 @@ from .. import activity
 from ..bridge import box_of, resolution
 from ..capture import views_rendered
 from ..project import Project, no_dataset, project_of
-from .layout import LINE_WIDTH, StepPanel, draw_box, joined, megabytes
+from .layout import LINE_WIDTH, Step, draw_box, joined, megabytes
 
 
-class SNERG_PT_dataset(StepPanel, bpy.types.Panel):
+class DatasetStep(Step):
     """The images to train on"""
 
-    bl_label = "Dataset"
-    bl_idname = "SNERG_PT_dataset"
-    done = "dataset"
+    key, label, done = "dataset", "Dataset", "dataset"
+
+    def draw_header(self, header: bpy.types.UILayout) -> None:
+        """Importing, in place of rendering."""
+        header.operator("snerg.import_dataset", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The cameras, the buttons, and the dataset in use."""
         project = project_of(context.scene)
         draw_cameras(layout, settings, context.scene)
         layout.label(text=joined(camera_count(context), "{} x {} px".format(*resolution(context.scene))), icon="OUTLINER_OB_CAMERA")
+        draw_passes(layout, settings)
         draw_render(layout, project)
         layout.operator("snerg.import_dataset", icon="IMPORT")
         layout.prop(settings, "dataset", text="Train On")
@@ -80,6 +83,13 @@ def look_of(settings: Any, scene: bpy.types.Scene) -> str:
         *([f"exposure {view.exposure:g}"] if view.exposure else []),
     ]
     return f"Colours in {', '.join(parts)}"
+
+
+def draw_passes(layout: bpy.types.UILayout, settings: Any) -> None:
+    """Which passes are written beside the pictures."""
+    column = layout.column(align=True, heading="Passes")
+    for name in ("render_depth", "render_normals", "render_light"):
+        column.prop(settings, name)
 
 
 def draw_render(layout: bpy.types.UILayout, project: Project) -> None:

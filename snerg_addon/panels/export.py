@@ -8,14 +8,13 @@ import bpy
 
 from ..project import project_of
 from ..properties import LOSSY
-from .layout import StepPanel, draw_box, joined, megabytes
+from .layout import Step, draw_box, joined, megabytes
 
 
-class SNERG_PT_export(StepPanel, bpy.types.Panel):
+class ExportStep(Step):
     """The baked scene outside Blender"""
 
-    bl_label = "Export"
-    bl_idname = "SNERG_PT_export"
+    key, label = "export", "Export"
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether there is a web page or an exported scene."""

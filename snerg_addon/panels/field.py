@@ -9,30 +9,41 @@ from typing import Any
 import bpy
 
 from ...operators.train import unfinished
-from .. import activity, training_python
+from .. import activity, pictures, training_python
 from ..curve import Curve, curve_of
+from ..presets import PRESETS, is_set, takes
 from ..project import Project, project_of
-from .layout import LINE_WIDTH, StepPanel, decibels, draw_box, draw_sentence, joined, megabytes
+from .layout import LINE_WIDTH, Step, decibels, draw_box, draw_sentence, joined, megabytes
 from .versions import draw_versions, made_with
 
+CURVE_SCALE = 8.0  # of the curve's picture, in rows of the panel
 
-class SNERG_PT_field(StepPanel, bpy.types.Panel):
+
+class FieldStep(Step):
     """The radiance field"""
 
-    bl_label = "Field"
-    bl_idname = "SNERG_PT_field"
-    done = "field"
+    key, label, done = "field", "Field", "field"
+
+    def draw_header(self, header: bpy.types.UILayout) -> None:
+        """Importing, in place of training."""
+        header.operator("snerg.import_field", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the buttons, the training curve, and the versions."""
         project = project_of(context.scene)
-        draw_settings(layout, settings)
+        draw_presets(layout, context)
+        layout.prop(settings, "minutes")
+        layout.prop(settings, "view_dependence")
+        layout.prop(settings, "show_training")
+        draw_advanced(layout, settings)
         if answer := training_python.devices():
             draw_sentence(layout.column(align=True), f"Another Python trains. {answer.text}", answer.icon)
         layout.operator("snerg.train", icon="PLAY", text="Continue Training" if can_continue(context.scene) else "Train Field")
         layout.operator("snerg.import_field", icon="IMPORT")
         if curve := curve_of(shown_training(project)):
-            draw_box(layout, curve.bars, *curve_texts(curve))
+            if len(curve.points) > 1:
+                layout.template_icon(pictures.icon_of_curve(curve), scale=CURVE_SCALE)
+            draw_box(layout, *curve_texts(curve))
         if project.has("field"):
             note = project.notes().get("field", {})
             draw_box(layout, joined(decibels(note), steps_text(note), megabytes(note)), *made_with(project, "field"))
@@ -41,20 +52,29 @@ class SNERG_PT_field(StepPanel, bpy.types.Panel):
         draw_versions(layout, project, "field")
 
 
-def draw_settings(layout: bpy.types.UILayout, settings: Any) -> None:
-    """How to train."""
-    layout.prop(settings, "preset")
+def draw_presets(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """A row for each preset: its button, and what it takes."""
     column = layout.column(align=True)
-    time = column.row(align=True)
-    time.active = settings.steps == 0
-    time.prop(settings, "minutes")
+    for key, preset in PRESETS.items():
+        row = column.split(factor=0.3, align=True)
+        row.operator("snerg.apply_preset", text=preset.name, depress=is_set(preset, context.scene)).preset = key
+        row.label(text=takes(preset, context))
+
+
+def draw_advanced(layout: bpy.types.UILayout, settings: Any) -> None:
+    """What few change, closed at first."""
+    header, body = layout.panel("SNERG_advanced_field", default_closed=True)
+    header.label(text="Advanced")
+    if body is None:
+        return
+    body.prop(settings, "preset")
+    column = body.column(align=True)
     column.prop(settings, "steps")
     column.prop(settings, "seed")
-    layout.prop(settings, "view_dependence")
-    layout.prop(settings, "train_background")
+    body.prop(settings, "train_background")
     if settings.train_background == "colour":
-        layout.prop(settings, "train_colour")
-    layout.prop(settings, "downscale")
+        body.prop(settings, "train_colour")
+    body.prop(settings, "downscale")
 
 
 def can_continue(scene: bpy.types.Scene) -> bool:

@@ -21,26 +21,44 @@ class SidebarPanel:
     bl_category = "SNeRG"
 
 
-class StepPanel(SidebarPanel):
-    """Mixed into the panel of a step. done: the project's step whose presence puts a tick into the header."""
+class Step:
+    """A step of the main panel, which opens and closes. key: its property of SNERG_PG_steps. done: the project's step whose presence puts
+    a tick into its header."""
 
-    bl_parent_id = "SNERG_PT_main"
+    key: ClassVar[str]
+    label: ClassVar[str]
     done: ClassVar[str] = ""
+    has_command: ClassVar[bool] = True  # whether a terminal can do it, too
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether the step has a result."""
         return project_of(context.scene).has(self.done)
 
-    def draw_header(self: Any, context: bpy.types.Context) -> None:
-        """The tick."""
-        self.layout.label(text="", icon="CHECKMARK" if self.is_done(context) else "RADIOBUT_OFF")
+    def draw(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+        """The header, and when it is open the content with the names of the settings on the left."""
+        header, body = layout.panel_prop(context.window_manager.snerg_steps, self.key)
+        header.label(text=self.label, icon="CHECKMARK" if self.is_done(context) else "RADIOBUT_OFF")
+        if body:
+            self.draw_body(body, context)
+        else:
+            self.draw_header(header)
 
-    def draw(self: Any, context: bpy.types.Context) -> None:
-        """The panel's content, with the names of the settings on the left."""
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        self.draw_step(layout, context.scene.snerg, context)
+    def draw_body(self, body: bpy.types.UILayout, context: bpy.types.Context) -> None:
+        """The content."""
+        body.use_property_split = True
+        body.use_property_decorate = False
+        self.draw_step(body, context.scene.snerg, context)
+        if self.has_command:
+            row = body.row()
+            row.alignment = "RIGHT"
+            row.operator("snerg.copy_command", icon="COPYDOWN", emboss=False).step = self.key
+
+    def draw_header(self, header: bpy.types.UILayout) -> None:
+        """Buttons of the header while the step is closed."""
+
+    def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
+        """The settings, the buttons and the result."""
+        raise NotImplementedError
 
 
 def draw_box(layout: bpy.types.UILayout, *lines: str) -> None:

@@ -1,4 +1,4 @@
-"""The main panel: the scene's project, the running tasks, and the next step."""
+"""The main panel: the running tasks, the scene's project, and the steps."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ from pathlib import Path
 import bpy
 
 from .. import activity, saving
-from ..bridge import PREVIEW, box_of
 from ..owner import adoptable_project
 from ..project import project_of
-from .layout import SidebarPanel, draw_sentence
+from ..steps import next_step
+from .bake import BakeStep
+from .box import BoxStep
+from .dataset import DatasetStep
+from .export import ExportStep
+from .field import FieldStep
+from .layout import SidebarPanel, Step, draw_sentence
+from .preview import PreviewStep
+from .study import StudyStep
+
+STEPS: tuple[Step, ...] = (BoxStep(), DatasetStep(), FieldStep(), BakeStep(), PreviewStep(), StudyStep(), ExportStep())
+"""In the order in which they are needed: the rig's cameras stand round the box."""
 
 
 class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
@@ -20,19 +30,21 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
     bl_idname = "SNERG_PT_main"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """The project, the running tasks or else the next step, and the outcome of the last task."""
+        """The running tasks, the project, the outcome of the last task or else the next step, and the steps."""
         layout, scene = self.layout, context.scene
+        project = project_of(scene).folder
+        for running in activity.current(project):
+            draw_task(layout, running)
         row = layout.row(align=True)
         row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
         row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
-        project = project_of(scene).folder
         draw_project(layout, scene)
-        for running in activity.current(project):
-            draw_task(layout, running)
         if report := activity.last_report(project):
             draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR")
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
+        for step in STEPS:
+            step.draw(layout, context)
 
 
 def draw_project(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
@@ -64,17 +76,10 @@ def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
     stop.enabled = not task.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
     column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
-    for note in task.notes:
-        draw_sentence(column, note, "DOT")
-
-
-def next_step(scene: bpy.types.Scene) -> str:
-    """What the artist can do next, in a few words."""
-    project = project_of(scene)
-    if not project.has("scene"):
-        if not project.has("field"):
-            return "Next: train a field" if project.has("dataset") else "Next: render or import a dataset"
-        return "Next: bake" if box_of(scene) else "Next: add a box, then bake"
-    if bpy.data.images.get(PREVIEW) is None:
-        return "Next: preview or export"
-    return "Next: export the web page" if not project.has("web") else "All steps are done"
+    if not task.notes:
+        return
+    header, body = layout.panel(f"SNERG_notes_{running.step}", default_closed=True)
+    header.label(text=f"{len(task.notes)} note{'s' if len(task.notes) > 1 else ''}", icon="INFO")
+    if body:
+        for note in task.notes:
+            draw_sentence(body.column(align=True), note, "DOT")

@@ -6,15 +6,14 @@ from typing import Any
 
 import bpy
 
-from ..bridge import PREVIEW
-from .layout import StepPanel, draw_box
+from ..bridge import PREVIEW, image_editor
+from .layout import Step, draw_box
 
 
-class SNERG_PT_preview(StepPanel, bpy.types.Panel):
+class PreviewStep(Step):
     """The baked scene in Blender"""
 
-    bl_label = "Preview"
-    bl_idname = "SNERG_PT_preview"
+    key, label = "preview", "Preview"
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether a preview was rendered."""
@@ -29,5 +28,15 @@ class SNERG_PT_preview(StepPanel, bpy.types.Panel):
         layout.prop(settings, "transparent")
         layout.operator("snerg.preview", icon="IMAGE_DATA")
         if self.is_done(context):
-            width, height = bpy.data.images[PREVIEW].size
-            draw_box(layout, f"{width} x {height} px, image {PREVIEW!r}")
+            image = bpy.data.images[PREVIEW]
+            draw_box(layout, f"{image.size[0]} x {image.size[1]} px, image {PREVIEW!r}", where(context, image))
+            if image_editor(image) is None:
+                layout.operator("snerg.show_preview", icon="WINDOW")
+
+
+def where(context: bpy.types.Context, image: bpy.types.Image) -> str:
+    """Where an image can be seen."""
+    found = image_editor(image)
+    if found is None:
+        return "In this file; no editor shows it now"
+    return f"In the image editor of {'this' if found[0] == context.window else 'another'} window"

@@ -6,10 +6,13 @@ import bpy
 
 from ...core.errors import SnergError
 from .. import packing
-from ..scene_object import is_snerg_object, problem_of, source_of
+from ..originals import hidden_in
+from ..scene_object import folder_of, is_own, is_snerg_object, problem_of, source_of
 from ..viewport import draw
-from ..viewport.loading import loaded
+from ..viewport.loading import has_scene, loaded
 from .layout import draw_box, draw_sentence
+
+NAMES = 8  # of hidden objects that the panel lists
 
 
 class SNERG_PT_object(bpy.types.Panel):
@@ -30,12 +33,14 @@ class SNERG_PT_object(bpy.types.Panel):
         """The folder, what is wrong with it, and what the scene holds."""
         layout, thing = self.layout, context.object
         layout.use_property_split = True
-        layout.prop(thing.snerg, "folder")
-        if packing.is_packed(thing):
-            layout.operator("snerg.unpack_scene", icon="PACKAGE")
-        else:
-            layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
+        if thing.snerg.temporary:
+            draw_sentence(layout, "The training so far, baked coarsely. It goes away when the training ends; a bake stays", "INFO")
+            return
+        row = layout.row()
+        row.enabled = is_own(thing)  # an override would lose another folder when the file is opened again
+        row.prop(thing.snerg, "folder")
         try:
+            draw_packing(layout, thing)
             entry = loaded(source_of(thing))
         except SnergError as error:
             draw_sentence(layout, str(error), "ERROR")
@@ -49,6 +54,7 @@ class SNERG_PT_object(bpy.types.Panel):
         else:
             layout.operator("snerg.export_vdb", icon="VOLUME_DATA")
             layout.operator_menu_enum("snerg.proxy", "kind", icon="MESH_DATA")
+            draw_originals(layout, context.scene)
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             if entry.scene.ndc is not None:
@@ -62,3 +68,24 @@ class SNERG_PT_object(bpy.types.Panel):
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
                 f"{draw.memory() / 2**20:.1f} MB of graphics memory in all",
             )
+
+
+def draw_packing(layout: bpy.types.UILayout, thing: bpy.types.Object) -> None:
+    """Packing and unpacking, and how a packed copy and the folder differ. Raises SnergError where the copy is damaged."""
+    folder, packed = folder_of(thing), packing.is_packed(thing)
+    if packed:
+        layout.operator("snerg.unpack_scene", icon="PACKAGE")
+    problem = packing.state_of(thing, folder)
+    if not packed or (problem and has_scene(folder)):
+        layout.operator("snerg.pack_scene", icon="UGLYPACKAGE")
+    if problem:
+        draw_sentence(layout, problem, "INFO")
+
+
+def draw_originals(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """Hiding the objects that were baked, and which are hidden."""
+    layout.operator("snerg.hide_originals", icon="HIDE_ON")
+    if hidden := sorted(thing.name for thing in hidden_in(scene)):
+        layout.operator("snerg.show_originals", icon="HIDE_OFF")
+        more = f" and {len(hidden) - NAMES} more" if len(hidden) > NAMES else ""
+        draw_sentence(layout, f"Hidden originals: {', '.join(hidden[:NAMES])}{more}", "INFO")

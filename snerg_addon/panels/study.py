@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 
+from .. import pictures
 from ..bridge import STUDY
 from ..project import project_of
-from .layout import StepPanel, draw_box
+from .layout import Step, draw_box
+
+PLOT_SCALE = 10.0  # of the plot of the Pareto front, in rows of the panel
 
 
-class SNERG_PT_study(StepPanel, bpy.types.Panel):
+class StudyStep(Step):
     """Quality against time and file size"""
 
-    bl_label = "Study"
-    bl_idname = "SNERG_PT_study"
-    bl_options = {"DEFAULT_CLOSED"}
+    key, label = "study", "Study"
 
     def is_done(self, context: bpy.types.Context) -> bool:
         """Whether there is a report."""
@@ -32,6 +34,9 @@ class SNERG_PT_study(StepPanel, bpy.types.Panel):
         if note:
             remaining = f"{note['left_out']} not measured yet" if note.get("left_out") else ""
             draw_box(layout, f"{note.get('configurations', 0)} configurations measured", remaining)
-            layout.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(note.get("report", ""))
+            report = Path(str(note.get("report", "")))
+            if icon := pictures.icon_of_file(report.parent / "plots" / "error-and-time.png"):
+                layout.template_icon(icon, scale=PLOT_SCALE)
+            layout.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(report)
         if STUDY in bpy.data.images:
             draw_box(layout, f"Comparison: image {STUDY!r}")

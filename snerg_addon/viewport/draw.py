@@ -96,7 +96,7 @@ def draw() -> None:
         shown = [thing for thing in snerg_objects(context.view_layer) if thing.visible_in_viewport_get(context.space_data)]
         eye = context.region_data.view_matrix.inverted().translation
         drawn = [draw_object(context, o) for o in sorted(shown, key=lambda o: -(o.matrix_world.translation - eye).length)]
-        if not all(drawn):
+        if not all(drawn) or reading():
             _later()
         _forget_closed(context.window_manager)
     except Exception as error:
@@ -171,7 +171,7 @@ def work(held: GpuScene, seen: np.ndarray, picture: Picture, span: tuple[int, in
     """March as much of a picture's span of rows as BUDGET allows: all of it where that is quick; else a coarse one, and once the view
     rests the full one, a band of rows at a time."""
     now, (width, height) = time.monotonic(), picture.full.size
-    if picture.key != (key := seen.tobytes() + id(held).to_bytes(8, "little")):
+    if picture.key != (key := seen.tobytes() + held.number.to_bytes(8, "little")):
         picture.key, picture.span, picture.rows, picture.changed = key, span, 0, now
         if not span[1]:
             return

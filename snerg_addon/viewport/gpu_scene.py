@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import gpu
@@ -14,17 +15,19 @@ from . import shader
 
 COARSE = 4  # voxels along an axis of a coarse voxel, the unit of skipping within a cell
 COARSE_CELL = CELL_VOXELS // COARSE
-SIDES = (4, 8, 16, 32)  # cells along a page's side that are tried: the fewest texels that few enough pages hold
+SIDES = (16, 32)  # cells along the side of a page that are tried: few pages, since a sample asks for its page by comparing with each
+_numbers = itertools.count()
 
 
 class GpuScene:
-    """Textures and shader of a scene. bytes: what they take of the card's memory.
+    """Textures and shader of a scene. bytes: what they take of the card's memory. number: no other one has had it; an identity is given
+    again when its owner is gone.
 
     Raises ValueError when the card has no room for so many cells.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        self.scene, self.number = scene, next(_numbers)
         kinds = 2 if scene.network is None else 3
         self.page_cells, self.layout = layout(len(scene.cells), (gpu.capabilities.max_textures_frag_get() - 1) // kinds)
         self.pages = max(1, -(-len(scene.cells) // self.page_cells))
@@ -32,6 +35,7 @@ class GpuScene:
         self.textures: dict[str, gpu.types.GPUTexture] = {}
         self._add("indirection", self._indirection(), "RGBA32F")
         skips = skip_tables(scene.cells)
+        features_need_alpha = True  # as baked; an atlas from elsewhere, or from a lossy codec, may be otherwise
         for page in range(self.pages):
             rows = slice(page * self.page_cells, (page + 1) * self.page_cells)
             cells = as_bytes(scene.cells[rows], scene)
@@ -41,7 +45,8 @@ class GpuScene:
             self._add(f"skip_{page}", self._laid_out(skips[rows, ..., None]), "R8")
             if scene.network is not None:
                 self._add(f"feature_{page}", self._laid_out(cells[..., 3:7]), "RGBA8")
-        self.shader = shader.march_shader(scene, self.pages)
+                features_need_alpha &= not cells[..., 3:7][alpha[..., 0] == 0].any()
+        self.shader = shader.march_shader(scene, self.pages, features_need_alpha)
 
     def _add(self, name: str, values: np.ndarray, form: str) -> None:
         self.textures[name] = texture(values, form)
@@ -75,7 +80,7 @@ def bytes_of(scene: Scene) -> int:
 
 
 def layout(cells: int, most_pages: int) -> tuple[int, tuple[int, int, int]]:
-    """(cells a page, cells along x, y and z of it): the smallest pages of which `most_pages` hold all."""
+    """(cells a page, cells along x, y and z of it): the fewest pages of the first of SIDES with which `most_pages` hold all."""
     for side in SIDES:
         if cells <= most_pages * side**3:
             each = -(-max(cells, 1) // -(-max(cells, 1) // side**3))
@@ -102,10 +107,10 @@ def skip_tables(cells: np.ndarray) -> np.ndarray:
 
 
 def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
-    """[Z, Y, X, C] uint8 or float32 to a 3D texture; Blender takes floats alone."""
-    floats = values.astype(np.float32) / np.float32(255) if values.dtype == np.uint8 else values
+    """[Z, Y, X, C] uint8 or float32 to a 3D texture; Blender takes floats alone, which are made in its own buffer: pages are large."""
     depth, height, width = values.shape[:3]
-    buffer = gpu.types.Buffer("FLOAT", floats.size, np.ascontiguousarray(floats).reshape(-1))
+    buffer = gpu.types.Buffer("FLOAT", values.size)
+    np.divide(values.reshape(-1), np.float32(255 if values.dtype == np.uint8 else 1), out=np.asarray(buffer))
     return gpu.types.GPUTexture((width, height, depth), format=form, data=buffer)
 
 

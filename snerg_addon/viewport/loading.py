@@ -27,10 +27,10 @@ _known: dict[Path, Loaded] = {}
 
 def loaded(folder: Path) -> Loaded:
     """What is known of the scene in a folder; the first time it begins to be read. Never raises."""
-    stamp = _stamp(folder)
+    stamp = stamp_of(folder)
     found = _known.get(folder)
     if found is None or found.stamp != stamp:
-        found = Loaded(stamp)
+        found = Loaded(stamp, found.scene if found is not None and stamp else None)  # shown until the new one is read
         if stamp == 0:
             found.problem = f"There is no baked scene in {folder}; choose another folder, or bake again."
         else:
@@ -52,7 +52,7 @@ def cached(folder: Path) -> Scene:
 
 def reading() -> bool:
     """Whether a scene is being read now."""
-    return any(entry.scene is None and not entry.problem for entry in list(_known.values()))
+    return any(entry.thread is not None and entry.thread.is_alive() for entry in list(_known.values()))
 
 
 def keep(folders: set[Path]) -> None:
@@ -71,7 +71,7 @@ def forget() -> None:
     _known.clear()
 
 
-def _stamp(folder: Path) -> int:
+def stamp_of(folder: Path) -> int:
     """Another number when the folder's files were written again, 0 where it has none."""
     for name in ("scene.json", "scene_params.json", "scene/scene.json"):
         try:
@@ -81,11 +81,17 @@ def _stamp(folder: Path) -> int:
     return 0
 
 
+def has_scene(folder: Path) -> bool:
+    """Whether a folder has the file that each baked scene has; not whether that can be read."""
+    return stamp_of(folder) != 0
+
+
 def _read(folder: Path, entry: Loaded) -> None:
     try:
         entry.scene = open_scene(folder)
     except SnergError as error:
-        entry.problem = str(error)
+        entry.scene, entry.problem = None, str(error)
     except Exception as error:  # said on the object, and in the console
         traceback.print_exception(error)
+        entry.scene = None
         entry.problem = f"{folder} cannot be shown ({type(error).__name__}: {error}); Blender's console says where."

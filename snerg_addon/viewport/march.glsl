@@ -84,7 +84,9 @@ void main()
       vec4 texel = rgba_at(page, at);
       rgb += transmittance * texel.rgb;
 #ifdef VIEW_DEPENDENCE
-      features += transmittance * feature_at(page, at);
+      if (texel.a > FEATURES_ABOVE) {  // reading them takes as long as all else: not where there is nothing
+        features += transmittance * feature_at(page, at);
+      }
 #endif
       transmittance *= 1.0 - texel.a;
       if (half_depth < 0.0 && transmittance < 0.5) {

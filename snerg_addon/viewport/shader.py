@@ -28,8 +28,9 @@ struct View {
 """
 
 
-def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
-    """The march of a scene whose atlas has that many pages."""
+def march_shader(scene: Scene, pages: int, features_need_alpha: bool) -> gpu.types.GPUShader:
+    """The march of a scene whose atlas has that many pages. features_need_alpha: features are 0 wherever alpha is, so that they need not
+    be read there."""
     info = _info()
     info.typedef_source(VIEW)
     info.uniform_buf(0, "View", "view")
@@ -41,6 +42,7 @@ def march_shader(scene: Scene, pages: int) -> gpu.types.GPUShader:
     parts = [lookup("rgba", pages), skip_lookup(pages)]
     if scene.network is not None:
         constants |= {"VIEW_DEPENDENCE": "", "NETWORK_TRANSMITTANCE": number(NETWORK_TRANSMITTANCE)}
+        constants["FEATURES_ABOVE"] = number(0 if features_need_alpha else -1)
         parts += [lookup("feature", pages), network(scene.network)]
     if scene.opacity_correction:
         constants["OPACITY_CORRECTION"] = ""

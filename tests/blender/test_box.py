@@ -15,7 +15,7 @@ from snerg.operators.bake import box_to_bake
 from snerg.operators.render_dataset import chosen_shots
 from snerg.snerg_addon.bridge import box_from_blender
 from snerg.snerg_addon.capture import evaluated
-from snerg.snerg_addon.panels import SNERG_PT_box
+from snerg.snerg_addon.panels.box import BoxStep
 from snerg.snerg_addon.project import project_of
 
 TURNED = (0.3, -0.5, 0.8)
@@ -76,9 +76,9 @@ def test_a_sheared_box_is_refused(scene):
 def test_a_box_that_was_deleted_is_none(scene):
     """The scene's setting keeps the data-block of an object alive that X deleted."""
     assert bpy.ops.snerg.add_box() == {"FINISHED"}
-    assert box_to_bake(bpy.context, project_of(scene)) is not None and SNERG_PT_box.is_done(None, bpy.context)
+    assert box_to_bake(bpy.context, project_of(scene)) is not None and BoxStep().is_done(bpy.context)
     bpy.ops.object.delete()
-    assert box_to_bake(bpy.context, project_of(scene)) is None and not SNERG_PT_box.is_done(None, bpy.context)
+    assert box_to_bake(bpy.context, project_of(scene)) is None and not BoxStep().is_done(bpy.context)
     add_camera()
     scene.snerg.cameras = "RIG"
     with pytest.raises(SnergError, match="There is no box"):

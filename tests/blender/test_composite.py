@@ -18,7 +18,7 @@ from snerg.core.rendering.render import render_scene
 from snerg.core.scene.scene import Scene
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import evaluated
-from snerg.snerg_addon.composite import BAKED, MERGE, MESHES, tree_of
+from snerg.snerg_addon.composite import BAKED, MERGE, MESHES, tree_holder, tree_in_use, tree_of
 from snerg.snerg_addon.depth_merge import GROUP
 from snerg.snerg_addon.scene_object import make
 
@@ -276,6 +276,25 @@ def test_the_second_render_follows_the_first_ones_camera_size_and_border(stage, 
     assert np.abs(part[..., RED] - whole[:24, 24:72, RED]).mean() < 0.003  # Cycles' noise is another with a border
 
 
+def test_collections_render_in_the_second_scene_as_in_the_first(stage, tmp_path):
+    scene, thing, cube = stage
+    scene.collection.objects.unlink(cube)
+    outer, inner = (bpy.data.collections.new(name) for name in ("Outer", "Inner"))
+    scene.collection.children.link(outer)
+    outer.children.link(inner)
+    inner.objects.link(thing)
+    scene.collection.objects.unlink(thing)
+    scene.render.film_transparent = True
+    collection = scene.view_layers[0].layer_collection.children["Outer"].children["Inner"]
+    for name, shown in (("holdout", (0, 0)), ("indirect_only", (0, 0)), ("exclude", (0, 0)), ("", (1, 1))):
+        if name:
+            setattr(collection, name, True)
+        bpy.ops.snerg.composite()
+        assert tuple(rendered(scene, tmp_path)[24, 32, [RED, 3]]) == shown, name
+        if name:
+            setattr(collection, name, False)
+
+
 def test_an_animation_moves_in_both_renders(stage, tmp_path):
     scene, thing, cube = stage
     bpy.ops.snerg.composite()
@@ -328,10 +347,15 @@ def test_a_compositor_that_reads_no_render_is_left_alone(stage):
     tree = tree_of(scene)
     tree.nodes.clear()
     tree.nodes.new("CompositorNodeInvert")
+    scene.render.use_compositing = False
+    tree.use_fake_user = True
+    holder, name = tree_holder(bpy.data.scenes.new("Second"))
+    if name != "node_tree":
+        setattr(holder, name, tree)  # a tree of several scenes is copied where it is changed
     before = state()
     with pytest.raises(RuntimeError, match="no render layers of"):
         bpy.ops.snerg.composite()
-    assert state() == before
+    assert state() == before and not scene.render.use_compositing and tree_in_use(scene) == tree
 
 
 @pytest.fixture

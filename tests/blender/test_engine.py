@@ -17,6 +17,7 @@ from snerg.core.io.images import read_image, to_uint8
 from snerg.core.rendering.render import render_scene
 from snerg.snerg_addon.bridge import camera_from_blender, set_camera
 from snerg.snerg_addon.capture import evaluated
+from snerg.snerg_addon.engine import OBJECT_INDEX
 from snerg.snerg_addon.scene_object import make
 
 
@@ -44,7 +45,8 @@ def rendered(scene) -> np.ndarray:
 
 def wanted(scene, baked) -> np.ndarray:
     """What `snerg render` writes for the scene's camera."""
-    return to_uint8(render_scene(baked, camera_from_blender(scene.camera, scene, evaluated(scene))).straight())
+    clip = scene.camera.data.clip_start, scene.camera.data.clip_end
+    return to_uint8(render_scene(baked, camera_from_blender(scene.camera, scene, evaluated(scene)), clip=clip).straight())
 
 
 def same(got: np.ndarray, want: np.ndarray, most: float = 1.0) -> None:
@@ -136,7 +138,7 @@ def test_depth_is_that_of_an_analytic_scene_and_the_index_its_objects(stage, tmp
     found = passes(scene, tmp_path)
     layer.use_pass_z = layer.use_pass_object_index = False
     depth = next(v for k, v in found.items() if "Depth" in k)
-    index = next(v for k, v in found.items() if "IndexOB" in k)
+    index = next(v for k, v in found.items() if OBJECT_INDEX in k)
     middle = slice(10, 14), slice(14, 18)
     assert np.abs(depth[middle] - (3 - (0.5 - 2 / 30))).max() < 0.501 / 30  # half a voxel
     assert depth[0, 0] > 1e9 and (index[middle] == 7).all() and index[0, 0] == 0
@@ -150,6 +152,89 @@ def test_objects_hide_each_other_by_depth(stage):
         above.location, below.location = (0, 0, 0.8), (0, 0, -0.8)
         picture = rendered(scene)
         assert picture[12, 16, seen] == 255 and picture[12, 16, 1 - seen] <= 1
+
+
+def test_what_lies_outside_the_clip_planes_is_not_seen(stage, tmp_path):
+    """A block from 2.57 to 3.43 before the camera, of two sizes. Depth is that of the planes that cut it, also towards the edges."""
+    scene, add = stage
+    thing, layer, data = add(block()), scene.view_layers[0], scene.camera.data
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 3))
+    layer.use_pass_z = True
+    for scale in (1, 2):
+        thing.scale = (scale,) * 3
+        front, back = 3 - scale * (0.5 - 2 / 30), 3 + scale * (0.5 - 2 / 30)
+        for start, end, seen in ((3.1, 100, 3.1), (0.1, front - 0.05, None), (0.1, front + 0.1, front), (back + 0.05, 100, None)):
+            data.clip_start, data.clip_end = start, end
+            depth = next(v for k, v in passes(scene, tmp_path).items() if "Depth" in k)
+            if seen is None:
+                assert depth.min() > 1e9
+            else:
+                assert np.abs(depth[8:16, 12:20] - seen).max() < 0.6 / 30 * scale, (scale, start, end)
+    layer.use_pass_z = False
+
+
+def test_the_index_is_that_of_the_first_surface_and_not_of_a_veil_before_it(stage, tmp_path):
+    scene, add = stage
+    veil, solid = add(block(alpha=2), "veil"), add(block(), "solid")
+    veil.location, veil.pass_index, solid.pass_index = (0, 0, 1.5), 3, 7
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 4))
+    layer = scene.view_layers[0]
+    layer.use_pass_object_index = True
+    found = passes(scene, tmp_path)
+    layer.use_pass_object_index = False
+    index, alpha = (next(v for k, v in found.items() if name in k) for name in (OBJECT_INDEX, "Coverage"))
+    assert index[12, 16] == 7 and index[0, 0] == 0
+    only_veil = (alpha > 0.05) & (alpha < 0.5)
+    assert only_veil.any() and not index[only_veil].any()
+
+
+def test_holdouts_and_what_the_camera_does_not_see(stage):
+    scene, add = stage
+    near, far = add(block(colour=(255, 0, 0)), "near"), add(block(colour=(0, 255, 0)), "far")
+    near.location, near.scale, far.location = (0, 0, 1), (0.3,) * 3, (0, 0, -1)
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 5))
+    middle, beside = (12, 16), (12, 18)
+    near.is_holdout = True
+    picture = rendered(scene)
+    assert picture[middle][3] == 0 and picture[beside].tolist() == [0, 255, 0, 255]
+    near.is_holdout, near.visible_camera = False, False
+    assert rendered(scene)[middle].tolist() == [0, 255, 0, 255]
+    near.visible_camera = True
+    group = bpy.data.collections.new("Group")
+    scene.collection.children.link(group)
+    group.objects.link(near)
+    scene.collection.objects.unlink(near)
+    collection = bpy.context.view_layer.layer_collection.children["Group"]
+    for name, wanted in (("holdout", [0, 0, 0, 0]), ("indirect_only", [0, 255, 0, 255])):
+        setattr(collection, name, True)
+        assert rendered(scene)[middle].tolist() == wanted, name
+        setattr(collection, name, False)
+
+
+def test_the_compositor_knows_the_passes(stage, tmp_path):
+    scene, add = stage
+    add(block(alpha=40))
+    layer = scene.view_layers[0]
+    layer.use_pass_z = layer.use_pass_object_index = True
+    tree = bpy.data.node_groups.new("Compositor", "CompositorNodeTree")
+    node = tree.nodes.new("CompositorNodeRLayers")
+    node.scene, node.layer = scene, layer.name
+    found = {socket.name for socket in node.outputs if socket.enabled}
+    bpy.data.node_groups.remove(tree)
+    layer.use_pass_z = layer.use_pass_object_index = False
+    assert found == {"Image", "Alpha", "Coverage", "Depth", OBJECT_INDEX}
+
+
+def test_alpha_is_the_coverage_with_an_opaque_film_too(stage, tmp_path):
+    scene, add = stage
+    add(block(alpha=2))
+    scene.camera.matrix_world = Matrix.Translation((0, 0, 3))
+    with_film = passes(scene, tmp_path)
+    scene.render.film_transparent = False
+    found = passes(scene, tmp_path)
+    alpha, combined = (next(v for k, v in found.items() if k.endswith(name)) for name in ("Coverage.X", "Combined.A"))
+    assert 0.05 < alpha[12, 16] < 0.5 and (combined == 1).all()
+    assert np.abs(alpha - next(v for k, v in with_film.items() if k.endswith("Combined.A"))).max() < 1e-4
 
 
 def test_an_animation_follows_the_object(stage, tmp_path):

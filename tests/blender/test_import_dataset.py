@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -94,8 +95,7 @@ def test_the_box_the_dataset_and_the_view_are_set(scene, tmp_path):
 
 
 def test_one_undo_takes_it_back(scene, tmp_path):
-    """The scene is changed all at once, by an operator that Blender can undo."""
-    assert "UNDO" in bpy.types.SNERG_OT_import_dataset.bl_options
+    """The scene is changed all at once, when the dataset is read; a dataset that cannot be read changes nothing."""
     before = {kind: len(getattr(bpy.data, kind)) for kind in ("objects", "collections", "cameras", "images")}
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "transforms.json").write_text("{}")
@@ -103,6 +103,12 @@ def test_one_undo_takes_it_back(scene, tmp_path):
         bpy.ops.snerg.import_dataset(filepath=str(tmp_path / "broken"))
     assert before == {kind: len(getattr(bpy.data, kind)) for kind in before}
     assert scene.snerg.dataset == ""
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.snerg.import_dataset(filepath=str(write_capture(tmp_path / "capture")))
+    bpy.ops.ed.undo()
+    assert before == {kind: len(getattr(bpy.data, kind)) for kind in before}
+    bpy.ops.ed.redo()
+    assert len(bpy.data.cameras) == before["cameras"] + 9 and bpy.context.scene.snerg.box is not None
 
 
 def test_what_blender_cannot_show_is_said(scene, tmp_path, capfd):
@@ -127,6 +133,21 @@ def test_pictures_of_other_sizes_keep_their_width(scene, tmp_path):
     assert fits["shot_0"] == "STRETCH" and fits["shot_1"] == "FIT" and fits["shot_2"] == "CROP"
     wide = bridge.camera_from_blender(bpy.data.objects["shot_1"], scene, evaluated(scene))
     assert wide.focal[0] / wide.width == pytest.approx(44 / 40, rel=1e-6)
+
+
+@pytest.mark.parametrize("listed", [True, False], ids=["cameras", "no frames"])
+def test_a_split_without_pictures_is_cameras(scene, dataset, tmp_path, listed):
+    """As BlenderNeRF writes it: a test file with cameras whose pictures were never rendered, or with no frames."""
+    folder = Path(shutil.copytree(dataset, tmp_path / "nerf"))
+    shutil.rmtree(folder / "test")
+    value = json.loads((folder / "transforms_test.json").read_text())
+    (folder / "transforms_test.json").write_text(json.dumps(value | {"frames": value["frames"] if listed else []}))
+    bpy.ops.snerg.import_dataset(filepath=str(folder))
+    train, test = (bpy.data.collections[name].objects for name in ("Training Views", "Test Views"))
+    assert len(train) == 12 and all(camera.data.background_images for camera in train)
+    assert len(test) == (3 if listed else 0) and not any(camera.data.background_images for camera in test)
+    for camera, frame in zip(test, value["frames"] if listed else [], strict=True):
+        np.testing.assert_allclose(np.array(camera.matrix_world), frame["transform_matrix"], atol=1e-6)
 
 
 def test_points_come_with_their_colours(scene):

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 from stage import add_camera, add_plane, contents
 
+from scenes import make_snerg
 from snerg.core.errors import SnergError
+from snerg.core.export.scene_files import write_scene
 from snerg.core.io.images import read_image
 from snerg.core.jobs import folder as folders
 from snerg.core.jobs.runner import Job, job_environment
@@ -112,6 +114,7 @@ def test_the_panel_shows_what_goes_on_together_with_the_notes():
     job = Job([])
     job.text, job.notes = "Compiling the training step", ["NDC: no. The cameras look inwards."]
     layout = MagicMock()
+    layout.panel.return_value = layout, layout
     draw_task(layout, Activity("field", "Training", job))
     drawn = str(layout.mock_calls)
     assert "Compiling the training step" in drawn and "NDC: no. The cameras look inwards." in drawn
@@ -137,6 +140,59 @@ def test_a_job_is_found_again_and_its_result_is_taken_in_once(scene, tmp_path):
     activity.stop()
     watch.tick()
     assert activity.current() == [] and activity.last_report(project.folder) is None
+
+
+def a_bake(scene, go: Path) -> None:
+    """A bake whose scene is there when the file `go` exists."""
+    folder = project_of(scene).new_version("scene")
+    write_scene(make_snerg((34, 30, 40), diffuse=True), folder)
+    launch("snerg.bake", slow(go, {"path": str(folder)}))
+
+
+def moved(name: str, x: float) -> None:
+    """A step of the artist's."""
+    bpy.data.objects[name].location.x = x
+    bpy.ops.ed.undo_push(message="Move")
+
+
+def there(*names: str) -> list:
+    return [bpy.data.objects[name].location.x for name in names if name in bpy.data.objects]
+
+
+def test_undo_and_redo_take_a_bake_back_and_bring_it_again_as_a_step_of_its_own(scene, tmp_path):
+    add_plane()
+    bpy.ops.ed.undo_push(message="before")
+    a_bake(scene, tmp_path / "go")
+    moved("Plane", 1.0)
+    (tmp_path / "go").touch()
+    until(lambda: not activity.current())
+    moved("SNeRG", 2.0)
+    seen = []
+    for _ in range(3):
+        bpy.ops.ed.undo()
+        seen.append(there("Plane", "SNeRG"))
+    assert seen == [[1.0, 0.0], [1.0], [0.0]]
+    for wanted in reversed(([1.0, 2.0], *seen[:2])):
+        bpy.ops.ed.redo()
+        assert there("Plane", "SNeRG") == wanted
+
+
+def test_the_object_waits_for_the_end_of_edit_mode_whose_undo_steps_would_lose_it(scene, tmp_path):
+    bpy.context.view_layer.objects.active = add_plane()
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.object.mode_set(mode="EDIT")
+    (tmp_path / "go").touch()
+    a_bake(scene, tmp_path / "go")
+    until(lambda: activity.current()[0].task.text == "Ready; leave Edit Mode to get the result")
+    assert not there("SNeRG")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.ed.undo_push(message="Toggle Edit Mode")
+    until(lambda: not activity.current())
+    assert there("SNeRG")
+    bpy.ops.ed.undo()
+    assert not there("SNeRG")
+    bpy.ops.ed.redo()
+    assert there("SNeRG")
 
 
 def test_every_status_bar_shows_it_and_nothing_is_left_behind(scene):
@@ -247,8 +303,10 @@ def test_damaged_results_are_a_sentence(scene, tmp_path):
 
 
 def test_a_scripts_job_is_not_taken_in_by_a_window(scene, tmp_path):
-    with pytest.raises(RuntimeError, match="nowhere"):
-        bpy.ops.snerg.import_scene(filepath=str(tmp_path / "nowhere"))
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "scene.json").write_text("{}")
+    with pytest.raises(RuntimeError, match="damaged"):
+        bpy.ops.snerg.import_scene(filepath=str(tmp_path / "damaged"))
     (folder,) = folders.job_folders(project_of(scene).folder)
     assert folders.read_record(folder)["label"] == "Importing the scene" and not folders.is_alive(folder)
     watch.tick()
@@ -266,7 +324,7 @@ def job_of(scene, goes_on: bool = True) -> Job:
     """The job that the operator starts where there is a window."""
     settings = scene.snerg
     box = box_from_blender(settings.box, evaluated(scene)) if settings.box else None
-    shots = rig_settings(bpy.context) if settings.cameras == "RIG" else chosen_shots(bpy.context)
+    shots = rig_settings(bpy.context.scene) if settings.cameras == "RIG" else chosen_shots(bpy.context)
     return render_job(scene, shots, project_of(scene).own_dataset, CaptureSettings(settings.test_every), box, goes_on)
 
 

@@ -7,17 +7,21 @@ import os
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from stage import add_camera, add_plane
 
+from flax_checkpoint import networks, tree, write
+from scenes import make_snerg
 from snerg.core.cli import parser
 from snerg.core.commands.train import train_field
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.export.scene_files import write_scene
 from snerg.core.jobs.task import StepTask
 from snerg.snerg_addon import estimate_panel
 from snerg.snerg_addon.bridge import STUDY
-from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
+from snerg.snerg_addon.steps import next_step
 
 
 def refused(name: str, match: str, **keywords) -> None:
@@ -32,7 +36,7 @@ def files(scene) -> list[str]:
 
 
 def test_each_step_says_what_it_is_waiting_for(scene):
-    assert next_step(scene) == "Next: render or import a dataset"
+    assert next_step(scene) == "Next: add a box, or import a dataset"
     for name, match in (
         ("train", "no dataset"),
         ("bake", "no field"),
@@ -164,6 +168,20 @@ def test_importing_what_is_not_there_is_refused(scene, tmp_path):
     broken.write_bytes(b"\x81\xa6params")
     refused("import_field", "checkpoint_100", filepath=str(broken))
     assert not project_of(scene).field.exists() and not project_of(scene).scene.exists()
+
+
+def test_imports_of_another_kind_write_nothing(scene, tmp_path, dataset):
+    """Refused before a version's folder is made; a file inside a scene stands for the scene."""
+    write_scene(make_snerg((34, 30, 20)), tmp_path / "baked")
+    checkpoint = write(tmp_path / "checkpoint_7", tree(networks(np.random.default_rng(0))))
+    project = project_of(scene)
+    refused("import_scene", "use Import Field", filepath=str(checkpoint))
+    refused("import_scene", "use Import Dataset", filepath=str(dataset))
+    refused("import_field", "use Import Scene", filepath=str(tmp_path / "baked"))
+    refused("import_dataset", "use Import Scene", filepath=str(tmp_path / "baked/scene.json"))
+    assert not list(project.folder.glob("*/*"))
+    bpy.ops.snerg.import_scene(filepath=str(tmp_path / "baked/scene.json"))
+    assert project.has("scene")
 
 
 def test_rendering_from_the_operator_fills_the_project(scene):

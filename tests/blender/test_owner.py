@@ -20,8 +20,8 @@ from snerg.core.jobs.runner import Job, job_environment
 from snerg.operators import watch
 from snerg.operators.train import training_arguments
 from snerg.snerg_addon import activity
-from snerg.snerg_addon.panels.main import next_step
 from snerg.snerg_addon.project import project_of
+from snerg.snerg_addon.steps import next_step
 
 
 @pytest.fixture

@@ -40,6 +40,15 @@ def test_the_picture_is_what_the_marcher_gives(baked):
     assert np.ptp(wanted) > 0.3 and np.abs(shown[..., :3] - wanted).max() < 1.01 / 255
 
 
+def test_the_picture_survives_in_the_file_though_no_editor_shows_it(baked, tmp_path):
+    assert bpy.ops.snerg.preview() == {"FINISHED"}
+    before = np.array(bpy.data.images[NAME].pixels[:])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kept.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "kept.blend"))
+    assert NAME in bpy.data.images, "The preview is lost with the session"
+    assert np.array_equal(np.array(bpy.data.images[NAME].pixels[:]), before)
+
+
 def finish(work: PreviewTask) -> None:
     while work.poll():
         time.sleep(0.01)

@@ -248,7 +248,7 @@ def test_names_are_not_file_names(scene, spot, tmp_path, name):
     finally:
         scene.name = old
     assert pixels_off(tmp_path / name / "set") < 0.5
-    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [".snerg", "r_0.png", "transforms_train.json"]
+    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [".snerg", "r_0.exr", "r_0.png", "transforms_train.json"]
 
 
 @pytest.fixture

@@ -126,6 +126,7 @@ class Window:
 
         Blender tells no script where it drew a button; Ctrl-C over one copies the call that it makes.
         """
+        yield from self.open_steps()
         sidebar = self.sidebar
         x, top = sidebar.x + (sidebar.width - from_right if from_right else SIDEBAR_MARGIN), sidebar.y + sidebar.height
         yield from self.move(x, top - ROW)
@@ -168,13 +169,22 @@ class Window:
 
     def texts(self, panel: str) -> list[str]:
         """What a panel ('main', 'field', ...) says, as it would be drawn now: labels, and the texts of buttons and bars."""
-        cls = getattr(bpy.types, f"SNERG_PT_{panel}")
-        methods = {name: value for base in reversed(cls.__mro__) for name, value in vars(base).items() if callable(value)}
-        drawn = type("Drawn", (), {name: value for name, value in methods.items() if not name.startswith("__")})()
-        drawn.layout = Layout()
+        layout = Layout()
+        module = import_module("bl_ext.user_default.snerg_addon.snerg_addon.panels.main")
         with bpy.context.temp_override(window=self.window):
-            drawn.draw(bpy.context)
-        return drawn.layout.texts
+            if panel == "main":
+                module.SNERG_PT_main.draw(SimpleNamespace(layout=layout), bpy.context)
+            else:
+                next(step for step in module.STEPS if step.key == panel).draw_body(layout, bpy.context)
+        return layout.texts
+
+    def open_steps(self) -> Walk:
+        """All steps of the panel, as clicks on their headers open them."""
+        state = bpy.context.window_manager.snerg_steps
+        for name in ("box", "dataset", "field", "bake", "preview", "study", "export"):
+            setattr(state, name, True)
+        self.sidebar.tag_redraw()
+        yield from self.wait(0.3)
 
     def busy(self) -> bool:
         """The panel shows a bar of progress."""
@@ -220,6 +230,8 @@ class Layout:
                 text = str(values[0])
             if text:
                 self.texts.append(text)
+            if name in ("panel", "panel_prop"):
+                return Layout(self.texts), Layout(self.texts)
             return SimpleNamespace() if name == "operator" else Layout(self.texts)
 
         return put

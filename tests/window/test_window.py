@@ -112,6 +112,14 @@ def test_a_bake_goes_on_when_blender_quits_and_is_shown_afterwards(blender, trai
     assert back["objects"], "No object shows the bake"
 
 
+def test_undo_and_redo_over_a_bake(blender, trained):
+    seen = blender.walk("undo_a_bake", trained)
+    assert seen["started"] and seen["steps"] == [[1, 1, 1], [1, 1, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 1]]
+    assert seen["mode"] == "EDIT" and seen["waits"] and seen["in_edit_mode"] == ["001"], "A bake that ends in Edit Mode waits"
+    assert (seen["left_edit_mode"], seen["undone"], seen["redone"]) == (["002"], ["001"], ["002"])
+    assert "Hide Originals in its Object tab hides that" in " ".join(seen["main"])
+
+
 def test_a_flat_box_starts_no_bake(blender, trained):
     seen = blender.walk("flat_box", trained)
     assert says(seen["box"], "x 0 m") and not seen["busy"] and says(seen["main"], "Next: bake"), f"See after.png: {seen}"

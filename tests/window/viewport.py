@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,3 +68,94 @@ def between_meshes(window: Window, folder: str) -> Walk:
         window.seen[kind] = {name: [region.x + at.x, region.y + at.y] for name, at in found.items()}
         window.shoot(kind)
     window.seen["height"] = window.window.height
+
+
+def shown_training(window: Window, photos: str) -> Walk:
+    """Train with the 3D view in sight: how often the training's object shows something new, and what is left of it at the end."""
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.settings.dataset, window.settings.steps, window.settings.view_dependence = photos, 100000, "diffuse"
+    window.view.spaces.active.region_3d.view_distance = 6
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.train("INVOKE_DEFAULT")
+    yield from window.picture("before")
+    for count in range(3):
+        window.seen[f"shown {count}"] = yield from window.until(lambda known=count: len(previews(window)) > known, 120)
+        yield from window.picture(f"shown-{count}")
+        if count == 1:
+            yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.seen["objects"] = len(temporary())
+    window.operator("cancel")
+    window.seen["ended"] = yield from window.until(lambda: not window.busy(), 60)
+    window.seen["left"] = [thing.name for thing in temporary()] + [str(path) for path in window.folder.rglob("preview")]
+    yield from window.picture("after")
+
+
+def temporary() -> list[Any]:
+    """The objects that show trainings."""
+    return [thing for thing in bpy.data.objects if thing.snerg.temporary]
+
+
+def previews(window: Window) -> set[int]:
+    """The previews that were seen so far, by the time of their files, once the object shows them."""
+    seen: set[int] = window.__dict__.setdefault("previews", set())
+    found = part("snerg_addon.viewport.loading")._known
+    seen.update(found[folder].stamp for folder in found if temporary() and folder.name == "preview" and found[folder].scene)
+    return seen
+
+
+def preview_seen(window: Window, folder: str) -> Walk:
+    """Render the preview, close its window, show it again, and render it once more."""
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    window.operator("import_scene", filepath=folder)
+    window.seen["windows"] = [len(bpy.context.window_manager.windows)]
+    window.window.scene.render.resolution_percentage = 25
+
+    def note() -> None:
+        manager = bpy.context.window_manager
+        window.seen["windows"].append(len(manager.windows))
+        shown = [a.spaces.active.image for w in manager.windows for a in w.screen.areas if a.type == "IMAGE_EDITOR"]
+        window.seen.setdefault("images", []).append([image and image.name for image in shown])
+        window.seen.setdefault("texts", []).append(window.texts("preview"))
+
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.preview("INVOKE_DEFAULT")
+    yield from window.until(lambda: not window.busy() and len(bpy.context.window_manager.windows) > 1, 60)
+    yield from window.wait(1)
+    note()
+    window.shoot("opened")
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
+        bpy.ops.wm.window_close()
+    yield from window.wait(1)
+    note()
+    yield from window.picture("closed")
+    window.operator("show_preview")
+    yield from window.wait(1)
+    note()
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.snerg.preview("INVOKE_DEFAULT")
+    yield from window.until(lambda: not window.busy(), 60)
+    yield from window.wait(1)
+    note()
+
+
+def rewritten(window: Window, folder: str) -> Walk:
+    """An object whose folder is written again and again, each time in another colour; where on the picture its middle is."""
+    files = part("core.export.scene_files")
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    window.operator("add_scene", directory=folder)
+    bpy.context.object.select_set(False)
+    space, region = window.view.spaces[0], next(r for r in window.view.regions if r.type == "WINDOW")
+    space.overlay.show_overlays = False
+    space.region_3d.view_location, space.region_3d.view_distance = (0, 0, 0), 3
+    scene = files.read_scene(Path(folder))
+    for count in range(8):
+        cells = scene.cells.copy()
+        cells[..., :3] = np.where(cells[..., 3:] > 0, np.eye(3, dtype=np.uint8)[count % 3] * 255, 0)
+        files.write_scene(replace(scene, cells=cells), Path(folder))
+        space.region_3d.view_distance = 3  # draws the view again
+        yield from window.wait(2)
+        window.shoot(str(count))
+    window.seen["middle"] = [region.x + region.width / 2, window.window.height - region.y - region.height / 2]

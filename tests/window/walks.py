@@ -5,9 +5,12 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
+from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
-from viewport import between_meshes, gpu_frames  # noqa: F401  # walks too
+from viewport import between_meshes, gpu_frames, preview_seen, rewritten, shown_training  # noqa: F401  # walks too
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
 
@@ -240,6 +243,63 @@ def come_back(window: Window) -> Walk:
     window.seen["objects"] = [thing.name for thing in bpy.data.objects if thing.snerg.folder]
     yield from window.wait(2)
     yield from window.picture("ended")
+
+
+def undo_a_bake(window: Window, trained: str) -> Walk:
+    """Move the cube, bake, move it meanwhile, then Ctrl-Z and Shift-Ctrl-Z; and a bake that ends while the cube is in Edit Mode."""
+    yield from begin(window, "artwork")
+    window.operator("import_field", filepath=trained)
+    window.settings.resolution = 24
+    yield from move_cube(window, "X")
+    yield from window.click("snerg.bake")
+    window.seen["started"] = yield from window.until(window.busy, 20)
+    yield from move_cube(window, "Y")
+    yield from window.until(lambda: not window.busy(), 120)
+    window.seen["main"], window.seen["steps"] = window.texts("main"), [cube_and_baked()]
+    yield from window.picture("baked")
+    for shift in (False, True):
+        for _ in range(3):
+            yield from window.press("Z", ctrl=True, shift=shift)
+            yield from window.wait(0.3)
+            window.seen["steps"].append(cube_and_baked())
+    yield from window.press("TAB")
+    yield from window.wait(0.3)
+    window.seen["mode"] = bpy.data.objects["Cube"].mode
+    window.settings.resolution = 20
+    yield from window.click("snerg.bake")
+    window.seen["waits"] = yield from window.until(lambda: any("leave Edit Mode" in text for text in window.texts("main")), 120)
+    window.seen["in_edit_mode"] = baked_versions()
+    yield from window.picture("waits")
+    yield from window.press("TAB")
+    yield from window.until(lambda: not window.busy(), 20)
+    window.seen["left_edit_mode"] = baked_versions()
+    for shift in (False, True):
+        yield from window.press("Z", ctrl=True, shift=shift)
+        yield from window.wait(0.3)
+        window.seen["redone" if shift else "undone"] = baked_versions()
+
+
+def move_cube(window: Window, axis: str) -> Walk:
+    """G, an axis, 1, Enter, over the 3D view with the cube selected."""
+    yield from window.over_view()
+    for key in ("G", axis):
+        yield from window.press(key)
+    window.send("ONE", "PRESS", unicode="1")
+    window.send("ONE", "RELEASE")
+    yield
+    yield from window.press("RET")
+    yield from window.wait(0.3)
+
+
+def cube_and_baked() -> list[float]:
+    """Where the cube is, and how many SNeRG objects there are."""
+    cube = bpy.data.objects["Cube"].location
+    return [round(cube.x, 3), round(cube.y, 3), len(baked_versions())]
+
+
+def baked_versions() -> list[str]:
+    """The versions that SNeRG objects show."""
+    return [Path(thing.snerg.folder).name for thing in bpy.data.objects if thing.snerg.folder]
 
 
 def flat_box(window: Window, trained: str) -> Walk:

@@ -23,6 +23,7 @@ from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
+from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import find_image, scaled_to
 from .ply import read_ply
 
@@ -128,7 +129,8 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     camera = read_camera(value, frame, read_size(image), where, name=image.stem)
     mask, hides = find_mask(file.parent, value, frame, image, where)
-    return View(camera, image, mask, hides)
+    depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
+    return View(camera, image, mask, hides, depth=depth, passes=passes)
 
 
 def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
@@ -257,16 +259,17 @@ def write_transforms(
     image_names: Sequence[str],
     box: Box | None = None,
     extra: dict[str, Any] | None = None,
+    frame_extras: Sequence[dict[str, Any]] = (),
 ) -> None:
     """Write cameras as a transforms file that other NeRF tools read, whole or not at all.
 
     image_names: for each camera the path of its image, relative to the file. box: written as snerg_box. extra: further keys of the
-    file's object.
+    file's object. frame_extras: further keys of each frame, if any.
     """
     first = cameras[0]
     frames = [
-        {"file_path": name, "transform_matrix": camera.camera_to_world.tolist(), **intrinsics_json(camera)}
-        for camera, name in zip(cameras, image_names, strict=True)
+        {"file_path": name, "transform_matrix": camera.camera_to_world.tolist(), **intrinsics_json(camera), **more}
+        for camera, name, more in zip(cameras, image_names, frame_extras or [{}] * len(cameras), strict=True)
     ]
     value: dict[str, Any] = {"camera_angle_x": 2 * float(np.arctan2(first.width / 2, first.focal[0])), **(extra or {})}
     if box is not None:

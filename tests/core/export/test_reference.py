@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from published_viewer import PublishedViewer
-from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
+from scenes import empty_snerg, looking, make_frame, make_snerg, rotation, snerg_from_volume
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import read_indices, read_reference, write_reference
 from snerg.core.export.reference_axes import reorient, viewer_axes
@@ -129,7 +129,7 @@ def test_forward_facing_scenes_of_other_tools(tmp_path, published):
 
 def test_a_turned_forward_facing_box_is_refused(tmp_path):
     with pytest.raises(SnergError, match="box is turned"):
-        write_reference(make_forward(), tmp_path / "out")
+        write_reference(make_snerg((44, 40, 60), size=1.4, ndc=make_frame()), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -367,3 +367,35 @@ def test_reads_the_numbers_of_the_published_lego(data):
     assert indirection.shape == (19, 20, 34) and len(places) == (indirection >= 0).sum() == 3703
     with pytest.raises(SnergError, match="rgba_000"):
         read_reference(folder)
+
+
+UNREAD = [["format"], ["ndc"], ["atlas_blocks_x", "atlas_blocks_y", "atlas_blocks_z"], ["input_height", "input_width", "input_focal"]]
+
+
+@pytest.mark.parametrize(
+    "absent", [*UNREAD, [key for keys in UNREAD for key in keys]], ids=lambda keys: keys[0] if len(keys) < 8 else "all"
+)
+def test_keys_that_the_viewer_does_not_read_are_derived(tmp_path, written, absent):
+    path = written / "scene_params.json"
+    whole = read_reference(written)
+    params = json.loads(path.read_text())
+    path.write_text(json.dumps({key: value for key, value in params.items() if key not in absent}))
+    same(read_reference(written), whole)
+
+
+def test_a_frame_without_numbers_is_the_published_viewers(tmp_path):
+    write_reference(make_snerg((44, 40, 60), size=1.4, ndc=make_frame()), tmp_path / "out")
+    path = tmp_path / "out" / "scene_params.json"
+    params = {k: v for k, v in json.loads(path.read_text()).items() if not k.startswith("input_") and k != SNERG_KEY}
+    path.write_text(json.dumps(params))
+    ndc = read_reference(tmp_path / "out").ndc
+    assert ndc is not None and ndc.focal == pytest.approx((2 * 755.644059435 / 1006, 2 * 755.644059435 / 756))
+
+
+@pytest.mark.parametrize("width", [0, 100, -128, 2**40])
+def test_an_atlas_that_is_no_multiple_of_a_cell_is_refused(tmp_path, written, width):
+    path = written / "scene_params.json"
+    params = {k: v for k, v in json.loads(path.read_text()).items() if not k.startswith("atlas_blocks")}
+    path.write_text(json.dumps(params | {"atlas_width": width}))
+    with pytest.raises(SnergError, match="atlas_width"):
+        read_reference(written)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from scenes import make_forward, make_snerg
+from scenes import make_forward, make_snerg, snerg_from_volume
 from snerg.core.errors import SnergError
 from snerg.core.export import vdb
 from snerg.core.export.scene_files import write_scene
 from snerg.core.io.images import linear_to_srgb
+from snerg.core.rendering.render import MarchSettings, march_rays
 from snerg.core.scene.blocks import DATA_VOXELS
 
 from snerg.core.commands.export_vdb import export_vdb  # isort: skip
@@ -19,6 +20,31 @@ def test_through_a_voxel_passes_what_its_alpha_leaves():
         passes = np.exp(-vdb.density_of(alpha, length).astype(np.float64) * length)
         np.testing.assert_allclose(passes[:-1], 1 - alpha[:-1], atol=1e-6)
         assert 0 < passes[-1] < 0.5 / 255 + 1e-6  # an opaque voxel's density is finite
+
+
+@pytest.mark.parametrize("correction", [False, True])
+def test_rays_pass_as_in_the_marcher(correction):
+    """Rays along the voxels' rows, whose samples are the voxels' centres: through none, one, or several of random opacities, or a haze."""
+    rng = np.random.default_rng(0)
+    kind = np.arange(30)[:, None].repeat(30, 1) % 4
+    alpha = np.where((kind == 2)[..., None] & (np.arange(30) % 7 == 0), rng.integers(1, 256, (30, 30, 30)), 0)
+    alpha[kind == 1, 12] = rng.integers(1, 256, (kind == 1).sum())
+    alpha[kind == 3, :20] = 8
+    values = np.zeros((30, 30, 30, 4), np.uint8)
+    values[..., -1] = alpha
+    scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=1 / 30, opacity_correction=correction)
+    ((_, densities, _),) = vdb.blocks(scene)
+    through = np.exp(-densities.astype(np.float64).sum(axis=2) / 30)
+    starts = np.stack([*np.meshgrid(np.arange(30) + 0.5, np.arange(30) + 0.5, indexing="ij"), np.full((30, 30), -3.0)], axis=-1) / 30
+    rays = march_rays(scene, starts.reshape(-1, 3), np.tile([0.0, 0, 1], (900, 1)), MarchSettings(tolerance=1e-6))
+    more = through - rays.transmittance.reshape(30, 30)
+    solid = 0.5 / 255 + 1e-5
+    assert np.abs(more[kind < (2 if correction else 4)]).max() < solid
+    assert more.min() > -1e-5 and more.max() < (0.2 if correction else solid)
+    if correction:
+        assert more[kind == 3].max() > 0.05 and through[alpha.max(axis=-1) >= 170].max() < solid
+        assert np.abs(through[kind == 1] - np.maximum(1 - 1.5 * alpha.max(axis=-1)[kind == 1] / 255, 0)).max() < solid
+    assert vdb.left_out(scene) == (vdb.PER_VOXEL if correction else "")
 
 
 def test_colours_are_straight_and_linear_and_stand_where_they_stood():

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from flax_checkpoint import encode, evaluate, logistic, networks, packed, tree, write
+from snerg.core.artifact import kind_of
 from snerg.core.errors import SnergError
-from snerg.core.nerf.reference_checkpoint import read_reference_checkpoint, reference_mlp
+from snerg.core.nerf.reference_checkpoint import field_of, read_reference_checkpoint, reference_mlp
 
 
 @pytest.fixture
@@ -258,3 +259,49 @@ def test_the_real_checkpoint_evaluates_as_the_reference_did(data):
         expected = 1 / (1 + np.exp(-truth["raw_rgb_features"].astype(np.float64)))
         assert np.abs(np.hstack([colour, features]) - expected).max() < 1e-5
         assert np.abs(residual - truth["residual"]).max() < 1e-5
+
+
+@pytest.mark.parametrize("place", ["TrainState", "variables", "params alone", "the networks alone"])
+def test_checkpoints_of_newer_flax_are_read(tmp_path, arrays, place):
+    """flax.optim is gone from newer versions: a TrainState holds the networks under params."""
+    params = tree(arrays)["optimizer"]["target"]["params"]
+    state = {"step": 7, "params": {"params": params}, "opt_state": {"0": {"count": packed(np.int32(7))}}}
+    value = {
+        "TrainState": state,
+        "variables": {"params": params},
+        "params alone": {"step": 7, "params": params},
+        "the networks alone": params,
+    }
+    new = read_reference_checkpoint(write(tmp_path / "checkpoint_7", value[place]))
+    old = read_reference_checkpoint(write(tmp_path / "checkpoint_8", tree(arrays)))
+    assert new.step == (7 if "step" in value[place] else 0)
+    for mine, theirs in zip(new.trunk, old.trunk, strict=True):
+        assert np.array_equal(mine.kernel, theirs.kernel) and np.array_equal(mine.bias, theirs.bias)
+
+
+@pytest.mark.parametrize("layout", ["item", "steps", "flax with Orbax"])
+def test_orbax_checkpoints_say_what_to_write(tmp_path, layout):
+    mark = {"item": "manifest.ocdbt", "steps": "1000/default/manifest.ocdbt", "flax with Orbax": "checkpoint_1000/_METADATA"}[layout]
+    file = tmp_path / "run" / mark
+    file.parent.mkdir(parents=True)
+    file.write_bytes(b"{}")
+    if layout == "steps":
+        (tmp_path / "run/1000/_CHECKPOINT_METADATA").write_text("{}")
+    assert kind_of(tmp_path / "run") == "checkpoint"
+    with pytest.raises(SnergError, match=r"Orbax checkpoint.*msgpack_serialize"):
+        read_reference_checkpoint(tmp_path / "run")
+
+
+def test_other_trees_say_what_they_hold_and_what_to_write(tmp_path):
+    with pytest.raises(SnergError, match=r"it holds model_state, rng, and no networks.*msgpack_serialize"):
+        read_reference_checkpoint(write(tmp_path / "checkpoint_1", {"rng": 1, "model_state": {"params": 3}}))
+
+
+def test_the_extent_is_that_of_the_configuration(tmp_path, arrays):
+    """The published default is 1.7; a configuration beside the checkpoint may state another."""
+    path = write(tmp_path / "checkpoint_7", tree(arrays))
+    assert field_of(read_reference_checkpoint(path), "here").domain.world_box().size.tolist() == pytest.approx([3.4] * 3)
+    (tmp_path / "blender.yaml").write_text("dataset: blender\nsnerg_box_scale: 1.2  # tight\nvoxel_resolution: 800\n")
+    assert field_of(read_reference_checkpoint(path), "here").domain.world_box().size.tolist() == pytest.approx([2.4] * 3)
+    (tmp_path / "blender.yaml").write_text("snerg_box_scale: .inf\n")
+    assert read_reference_checkpoint(path).box_scale == 1.7

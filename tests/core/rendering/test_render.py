@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 
 from oracle import dense_march, dense_rays
-from scenes import empty_snerg, looking, make_cameras, make_snerg, random_network, rotation, snerg_from_volume
+from scenes import (
+    empty_snerg,
+    looking,
+    make_cameras,
+    make_forward,
+    make_forward_cameras,
+    make_snerg,
+    random_network,
+    rotation,
+    snerg_from_volume,
+)
 from snerg.core.errors import Cancelled
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
@@ -340,3 +350,18 @@ def test_visited_voxels_are_the_blocks_own():
     march_rays(scene, origins, directions, visited=visited)
     cells = visited.reshape(-1, 32, 32, 32)
     assert cells.any() and cells[:, 1:-1, 1:-1, 1:-1].sum() == cells.sum()
+
+
+@pytest.mark.parametrize("ndc", [False, True])
+def test_what_two_clip_planes_cut_apart_is_the_whole(ndc):
+    scene = replace(make_forward(), opacity_correction=False) if ndc else make_snerg((34, 30, 40), fog=False)
+    camera = make_forward_cameras(scene.ndc)[1] if ndc else make_cameras(width=48, height=36)[0]
+    whole = render_scene(scene, camera)
+    cosines = (camera.rays()[1] @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
+    axis_depth = whole.depth * cosines
+    cut = float(np.median(axis_depth[whole.alpha > 0.5]))
+    front, back = (render_scene(scene, camera, clip=clip) for clip in ((0.0, cut), (cut, 1e6)))
+    assert (front.alpha > 0.1).mean() > 0 and (back.alpha > 0.1).mean() > 0
+    assert (front.depth * cosines)[front.alpha > 0].max() <= cut * (1 + 1e-5)
+    assert (back.depth * cosines)[back.alpha > 0].min() >= cut * (1 - 1e-5)
+    assert np.abs(1 - (1 - front.alpha) * (1 - back.alpha) - whole.alpha).mean() < 0.02
