@@ -115,7 +115,7 @@ def _seen_span(
     cosines = directions @ -camera.camera_to_world[:3, 2]
     ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
     cosines = np.where(ahead, cosines, 1)
-    return np.maximum(scene.near, begin / cosines), np.where(ahead, end / cosines, np.inf)
+    return np.maximum(scene.near, begin / cosines), None if end == np.inf else np.where(ahead, end / cosines, np.inf)
 
 
 def march_rays(
