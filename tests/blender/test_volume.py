@@ -49,6 +49,7 @@ def test_a_volume_lets_through_what_the_voxels_do_at_any_scale(scene, thing, tmp
     scene.camera = add_camera("Above", (0, 0, 6))
     render = scene.render
     render.film_transparent, render.filepath = True, str(tmp_path / "haze.png")
+    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGBA"
     scene.cycles.samples, scene.cycles.seed = 64, 0
     render.resolution_x = render.resolution_y = 12
     bpy.ops.render.render(write_still=True)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from published_viewer import PublishedViewer
-from scenes import empty_snerg, looking, make_frame, make_snerg, rotation, snerg_from_volume
+from scenes import empty_snerg, looking, make_forward, make_frame, make_snerg, rotation, snerg_from_volume
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import read_indices, read_reference, write_reference
 from snerg.core.export.reference_axes import reorient, viewer_axes
@@ -129,7 +129,7 @@ def test_forward_facing_scenes_of_other_tools(tmp_path, published):
 
 def test_a_turned_forward_facing_box_is_refused(tmp_path):
     with pytest.raises(SnergError, match="box is turned"):
-        write_reference(make_snerg((44, 40, 60), size=1.4, ndc=make_frame()), tmp_path / "out")
+        write_reference(make_forward(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
