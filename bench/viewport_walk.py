@@ -56,14 +56,14 @@ def frame(scene: Any, held: Any, ask: dict[str, Any]) -> dict[str, Any]:
         """Milliseconds of one redraw. still: all of the picture, as after the last band; else what a moving view shows."""
         began = time.perf_counter()
         seen = view.uniforms(scene, scene.box.box_to_world, camera.camera_to_world, projection)
-        span = view.screen_rows(scene, scene.box.box_to_world, camera.camera_to_world, projection, height)
+        seen_in = view.screen_part(scene, scene.box.box_to_world, camera.camera_to_world, projection, (width, height))
         with screen.bind():
             if still:
-                picture.span, picture.rows = span, span[1]
-                gpu_scene.march(held, seen, picture.full, span)
+                picture.part, picture.rows = seen_in, seen_in.height
+                gpu_scene.march(held, seen, picture.full, seen_in)
             else:
                 picture.key = b""
-                draw.work(held, seen, picture, span)
+                draw.work(held, seen, picture, seen_in)
             gpu.state.viewport_set(0, 0, width, height)
             draw.show(picture, projection)
             gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")
@@ -73,9 +73,9 @@ def frame(scene: Any, held: Any, ask: dict[str, Any]) -> dict[str, Any]:
     whole = one(True)
     if ask["picture"]:
         np.save(ask["picture"], picture.full.pixels()[0])
-    picture.pixel = whole / 1000 / (width * picture.span[1])
+    picture.pixel = whole / 1000 / picture.part.pixels
     one(False)
-    picture.pixel = whole / 1000 / (width * picture.span[1])
+    picture.pixel = whole / 1000 / picture.part.pixels
     draft = one(False)
     screen.free()
     return {"whole": whole, "draft": draft, "draft_size": picture.draft.size if picture.draft else (width, height)}

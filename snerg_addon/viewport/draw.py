@@ -19,7 +19,7 @@ from ..scene_object import box_corners, problem_of, snerg_objects, source_of
 from . import shader
 from .gpu_scene import GpuScene, Target, bytes_of, march, triangle
 from .loading import forget, in_use, keep, loaded, reading
-from .view import Projection, screen_rows, uniforms
+from .view import Part, Projection, screen_part, uniforms
 
 BUDGET = 0.03  # seconds of marching at a time
 SETTLE = 0.12  # seconds without change after which a view counts as still
@@ -35,13 +35,13 @@ _pictures: dict[tuple[int, int], Picture] = {}  # by region and object
 
 @dataclass
 class Picture:
-    """An object as one region sees it. full: marched whole, `rows` of its span so far, from the
+    """An object as one region sees it. full: marched whole, `rows` of the part in which the object is so far, from the
     top; draft: what is shown until then."""
 
     full: Target
     key: bytes = b""
     draft: Target | None = None
-    span: tuple[int, int] = (0, 0)  # rows in which the object is: first from the bottom, count
+    part: Part = Part(0, 0, 0, 0)  # of the picture, in which the object is
     rows: int = 0
     changed: float = 0.0
     pixel: float = 0.0  # seconds, as measured; 0: not yet
@@ -49,7 +49,7 @@ class Picture:
     @property
     def done(self) -> bool:
         """Whether the whole picture is there."""
-        return self.rows >= self.span[1]
+        return self.rows >= self.part.height
 
 
 def register() -> None:
@@ -121,13 +121,13 @@ def draw_object(context: bpy.types.Context, thing: bpy.types.Object) -> bool:
     projection = Projection.from_matrix(np.array(data.window_matrix))
     camera = np.linalg.inv(np.array(data.view_matrix, np.float64))
     seen = uniforms(found.scene, matrix, camera, projection)
-    span = screen_rows(found.scene, matrix, camera, projection, region.height)
+    part = screen_part(found.scene, matrix, camera, projection, (region.width, region.height))
     place = region.as_pointer(), thing.session_uid
     picture = _pictures.get(place)
     if picture is None or picture.full.size != (region.width, region.height):
         picture = _pictures[place] = Picture(Target(region.width, region.height))
     bound = gpu.state.viewport_get()
-    work(held, seen, picture, span)
+    work(held, seen, picture, part)
     gpu.state.viewport_set(*bound)
     show(picture, projection)
     return picture.done
@@ -167,38 +167,38 @@ def fits(scene: Scene) -> bool:
     return id(scene) in _scenes or memory() + bytes_of(scene) <= gpu_bytes()
 
 
-def work(held: GpuScene, seen: np.ndarray, picture: Picture, span: tuple[int, int]) -> None:
-    """March as much of a picture's span of rows as BUDGET allows: all of it where that is quick; else a coarse one, and once the view
-    rests the full one, a band of rows at a time."""
+def work(held: GpuScene, seen: np.ndarray, picture: Picture, part: Part) -> None:
+    """March as much of the part of a picture in which the object is as BUDGET allows: all of it where that is quick; else a coarse one,
+    and once the view rests the full one, a band of rows at a time."""
     now, (width, height) = time.monotonic(), picture.full.size
     if picture.key != (key := seen.tobytes() + held.number.to_bytes(8, "little")):
-        picture.key, picture.span, picture.rows, picture.changed = key, span, 0, now
-        if not span[1]:
+        picture.key, picture.part, picture.rows, picture.changed = key, part, 0, now
+        if not part.pixels:
+            picture.rows = part.height
             return
-        affordable = BUDGET / (picture.pixel * width * span[1]) if picture.pixel else 0.0
+        affordable = BUDGET / (picture.pixel * part.pixels) if picture.pixel else 0.0
         if affordable >= 0.8:
-            picture.rows = span[1]
-            _timed(held, seen, picture, picture.full, span)
+            picture.rows = part.height
+            _timed(held, seen, picture, picture.full, part)
             return
         scale = 2.0 ** max(-np.log2(COARSEST), np.floor(np.log2(max(affordable, 1e-9))) / 2)
         size = max(1, round(width * scale)), max(1, round(height * scale))
         if picture.draft is None or picture.draft.size != size:
             picture.draft = Target(*size)
-        first = span[0] * size[1] // height
-        _timed(held, seen, picture, picture.draft, (first, -(-(span[0] + span[1]) * size[1] // height) - first))
+        _timed(held, seen, picture, picture.draft, part.scaled(picture.full.size, size))
     elif not picture.done and now - picture.changed > SETTLE:
-        left = span[1] - picture.rows
-        count = min(left, max(left // 8, 8, int(BUDGET / (max(picture.pixel, 1e-12) * width))))
-        _timed(held, seen, picture, picture.full, (span[0] + left - count, count))
+        left = part.height - picture.rows
+        count = min(left, max(left // 8, 8, int(BUDGET / (max(picture.pixel, 1e-12) * part.width))))
+        _timed(held, seen, picture, picture.full, part.rows(picture.rows, count))
         picture.rows += count
 
 
-def _timed(held: GpuScene, seen: np.ndarray, picture: Picture, target: Target, rows: tuple[int, int]) -> None:
-    """March rows of a target, and learn what a pixel takes."""
+def _timed(held: GpuScene, seen: np.ndarray, picture: Picture, target: Target, part: Part) -> None:
+    """March a part of a target, and learn what a pixel takes."""
     began = time.perf_counter()
-    march(held, seen, target, rows)
+    march(held, seen, target, part)
     target.wait()
-    cost = (time.perf_counter() - began) / (target.size[0] * rows[1])
+    cost = (time.perf_counter() - began) / part.pixels
     picture.pixel = cost if not picture.pixel or cost < picture.pixel else 0.5 * (cost + picture.pixel)
 
 
@@ -207,17 +207,17 @@ def show(picture: Picture, projection: Projection) -> None:
     global _composite
     if _composite is None:
         _composite = shader.composite_shader()
-    width, (first, count), rows = picture.full.size[0], picture.span, picture.rows
+    part, rows = picture.part, picture.rows
     p = projection.matrix
     gpu.state.depth_test_set("LESS_EQUAL")
     gpu.state.depth_mask_set(True)
     gpu.state.blend_set("ALPHA_PREMULT")
     gpu.state.scissor_test_set(True)
     left, bottom = gpu.state.viewport_get()[:2]
-    for target, low, high in ((picture.full, first + count - rows, first + count), (picture.draft, first, first + count - rows)):
-        if target is None or high <= low:
+    for target, shown in ((picture.full, part.rows(0, rows)), (picture.draft, part.rows(rows, part.height - rows))):
+        if target is None or not shown.pixels:
             continue
-        gpu.state.scissor_set(left, bottom + low, width, high - low)
+        gpu.state.scissor_set(left + shown.left, bottom + shown.bottom, shown.width, shown.height)
         _composite.bind()
         _composite.uniform_float("projection", (p[2, 2], p[2, 3], p[3, 2], p[3, 3]))
         _composite.uniform_sampler("picture", target.picture)

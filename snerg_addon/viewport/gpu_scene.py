@@ -12,6 +12,7 @@ from ...core.rendering.acceleration import chebyshev_distance, dilate_axis
 from ...core.scene.blocks import CELL_VOXELS
 from ...core.scene.scene import Scene
 from . import shader
+from .view import Part
 
 COARSE = 4  # voxels along an axis of a coarse voxel, the unit of skipping within a cell
 COARSE_CELL = CELL_VOXELS // COARSE
@@ -145,17 +146,15 @@ def triangle() -> gpu.types.GPUBatch:
     return gpu.types.GPUBatch(type="TRIS", buf=corners)
 
 
-def march(scene: GpuScene, view: np.ndarray, target: Target, rows: tuple[int, int] | None = None) -> None:
-    """March a view [12, 4] (see view.uniforms) into a target; rows: (first, count) of it from the bottom, all when None."""
+def march(scene: GpuScene, view: np.ndarray, target: Target, part: Part | None = None) -> None:
+    """March a view [12, 4] (see view.uniforms) into a part of a target, all of it when None."""
     buffer = gpu.types.GPUUniformBuf(gpu.types.Buffer("FLOAT", view.size, np.ascontiguousarray(view).reshape(-1)))
-    width, height = target.size
-    first, count = rows or (0, height)
     with target.buffer.bind():
         gpu.state.depth_test_set("NONE")
         gpu.state.depth_mask_set(False)
         gpu.state.blend_set("NONE")
         gpu.state.scissor_test_set(True)
-        gpu.state.scissor_set(0, first, width, count)
+        gpu.state.scissor_set(*(part or (0, 0, *target.size)))
         scene.shader.bind()
         scene.shader.uniform_block("view", buffer)
         for name, held in scene.textures.items():

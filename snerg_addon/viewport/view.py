@@ -3,11 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ...core.geometry.box import Box
 from ...core.scene.scene import Scene
+
+
+class Part(NamedTuple):
+    """A rectangle of a picture, in pixels from its lower left corner."""
+
+    left: int
+    bottom: int
+    width: int
+    height: int
+
+    @property
+    def pixels(self) -> int:
+        """How many it has."""
+        return self.width * self.height
+
+    def rows(self, first: int, count: int) -> Part:
+        """Some of its rows, counted from the top."""
+        return Part(self.left, self.bottom + self.height - first - count, self.width, count)
+
+    def scaled(self, before: tuple[int, int], after: tuple[int, int]) -> Part:
+        """The least rectangle that holds this one in a picture of another size."""
+        left, bottom = self.left * after[0] // before[0], self.bottom * after[1] // before[1]
+        right = -(-(self.left + self.width) * after[0] // before[0])
+        top = -(-(self.bottom + self.height) * after[1] // before[1])
+        return Part(left, bottom, right - left, top - bottom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +100,13 @@ def uniforms(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, proj
     return found.astype(np.float32)
 
 
-def screen_rows(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, projection: Projection, height: int) -> tuple[int, int]:
-    """(first, count): the rows of a picture, from the bottom, in which a scene can be seen; all where it reaches behind the camera."""
+def screen_part(scene: Scene, matrix: np.ndarray, camera_to_world: np.ndarray, projection: Projection, size: tuple[int, int]) -> Part:
+    """The part of a picture of that size (width, height) in which a scene can be seen; all where it reaches behind the camera."""
     corners = np.concatenate([Box(np.eye(4), scene.box.size).corners(), np.ones((8, 1))], axis=1)  # in the object's own axes
     clip = corners @ (projection.matrix @ np.linalg.inv(camera_to_world) @ matrix).T
     if (clip[:, 3] <= 1e-9).any():
-        return 0, height
-    rows = (clip[:, 1] / clip[:, 3] + 1) / 2 * height
-    first = int(np.clip(np.floor(rows.min()), 0, height))
-    return first, int(np.clip(np.ceil(rows.max()), 0, height)) - first
+        return Part(0, 0, *size)
+    pixels = (clip[:, :2] / clip[:, 3:] + 1) / 2 * size
+    low = np.clip(np.floor(pixels.min(axis=0)), 0, size).astype(int).tolist()
+    high = np.clip(np.ceil(pixels.max(axis=0)), 0, size).astype(int).tolist()
+    return Part(low[0], low[1], high[0] - low[0], high[1] - low[1])
