@@ -14,13 +14,15 @@ from . import shader
 
 COARSE = 4  # voxels along an axis of a coarse voxel, the unit of skipping within a cell
 COARSE_CELL = CELL_VOXELS // COARSE
+PIXEL_BYTES = 12  # of a Target
+LEAST_SIDE = 256  # texels along a side of a 3D texture that every card takes (OpenGL 4.3 and Vulkan guarantee no less)
 SIDES = (4, 8, 16, 32)  # cells along a page's side that are tried: the fewest texels that few enough pages hold
 
 
 class GpuScene:
     """Textures and shader of a scene. bytes: what they take of the card's memory.
 
-    Raises ValueError when the card has no room for so many cells.
+    Raises ValueError when the card has no room for so many cells, and whatever Blender raises when it refuses a texture or the shader.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -105,8 +107,23 @@ def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
     """[Z, Y, X, C] uint8 or float32 to a 3D texture; Blender takes floats alone."""
     floats = values.astype(np.float32) / np.float32(255) if values.dtype == np.uint8 else values
     depth, height, width = values.shape[:3]
+    if max(values.shape[:3]) > largest_side():
+        raise ValueError(f"it needs a texture of {width} x {height} x {depth} texels, and the card takes {largest_side()} along a side")
     buffer = gpu.types.Buffer("FLOAT", floats.size, np.ascontiguousarray(floats).reshape(-1))
     return gpu.types.GPUTexture((width, height, depth), format=form, data=buffer)
+
+
+@cache
+def largest_side() -> int:
+    """Texels along a side of the largest 3D texture. Blender tells scripts of 2D ones alone: thin ones are tried, which take no room."""
+    side = int(gpu.capabilities.max_texture_size_get())
+    while side > LEAST_SIDE:
+        try:
+            gpu.types.GPUTexture((1, 1, side), format="R8")
+            return side
+        except (RuntimeError, ValueError, MemoryError):
+            side //= 2
+    return LEAST_SIDE
 
 
 class Target:
@@ -117,6 +134,24 @@ class Target:
         self.picture = gpu.types.GPUTexture(self.size, format="RGBA16F")
         self.depths = gpu.types.GPUTexture(self.size, format="R32F")
         self.buffer = gpu.types.GPUFrameBuffer(color_slots=(self.picture, self.depths))
+
+    @classmethod
+    def of(cls, colour: np.ndarray, depths: np.ndarray) -> Target:
+        """A finished picture, as `pixels` gives it but with the lowest row first."""
+        found = cls.__new__(cls)
+        found.size = depths.shape[1], depths.shape[0]
+        found.picture, found.depths = (
+            gpu.types.GPUTexture(
+                found.size, format=form, data=gpu.types.Buffer("FLOAT", values.size, np.ascontiguousarray(values).reshape(-1))
+            )
+            for values, form in ((colour, "RGBA16F"), (depths, "R32F"))
+        )
+        return found
+
+    @property
+    def bytes(self) -> int:
+        """Of the card's memory."""
+        return PIXEL_BYTES * self.size[0] * self.size[1]
 
     def wait(self) -> None:
         """Until the card is done with what was drawn: reading a pixel takes that long."""
