@@ -140,12 +140,10 @@ class Target:
         """A finished picture, as `pixels` gives it but with the lowest row first."""
         found = cls.__new__(cls)
         found.size = depths.shape[1], depths.shape[0]
-        found.picture, found.depths = (
-            gpu.types.GPUTexture(
-                found.size, format=form, data=gpu.types.Buffer("FLOAT", values.size, np.ascontiguousarray(values).reshape(-1))
-            )
-            for values, form in ((colour, "RGBA16F"), (depths, "R32F"))
-        )
+        for name, values, form in (("picture", colour, "RGBA16F"), ("depths", depths, "R32F")):
+            buffer = gpu.types.Buffer("FLOAT", values.size)
+            np.asarray(buffer)[:] = values.reshape(-1)  # Blender's own copy takes values one at a time
+            setattr(found, name, gpu.types.GPUTexture(found.size, format=form, data=buffer))
         return found
 
     @property

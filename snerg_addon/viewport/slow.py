@@ -17,6 +17,7 @@ from ...core.rendering.render import MarchSettings, render_scene
 from ...core.scene.scene import Scene
 
 REDUCTIONS = (8, 4, 2, 1)  # of the picture's width and height, one after the other
+BATCH = 4096  # rays at a time: the window waits for the thread's steps, which are shorter than with the fastest batch
 FARTHEST = 1e9  # world units: device coordinates reach to infinity, which no texture holds
 _one = threading.Lock()  # held while a picture is marched: the marcher itself uses all cores but one
 
@@ -40,7 +41,7 @@ class SlowPicture:
     def __init__(self) -> None:
         self.problem = ""
         self._asked: View | None = None
-        self._ready: tuple[View, int, Frame] | None = None
+        self._ready: tuple[np.ndarray, np.ndarray] | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
@@ -69,7 +70,7 @@ class SlowPicture:
         """The best picture since the last call, None where there is none: premultiplied colour and alpha [H, W, 4], and depths [H, W]
         along the view axis in world units; the lowest row first, float32."""
         found, self._ready = self._ready, None
-        return None if found is None else as_textures(found[0], found[1], found[2])
+        return found
 
     def _run(self) -> None:
         while True:
@@ -83,12 +84,12 @@ class SlowPicture:
                     return
 
     def _refine(self, view: View) -> None:
-        settings = MarchSettings(threads=max(1, (os.cpu_count() or 2) - 1))
+        settings = MarchSettings(batch=BATCH, threads=max(1, (os.cpu_count() or 2) - 1))
         try:
             for reduction in REDUCTIONS:
                 tell = self._tell(view, reduction)
                 frame = render_scene(view.scene, reduced(view.camera, reduction), settings, tell, view.clip)
-                self._ready = view, reduction, frame
+                self._ready = as_textures(view, reduction, frame)
                 tell(1.0, "")
         except Cancelled:
             pass
@@ -113,7 +114,7 @@ def reduced(camera: Camera, reduction: int) -> Camera:
 
 
 def as_textures(view: View, reduction: int, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """A frame as `SlowPicture.take` returns it. Depths of empty pixels are the farthest: textures interpolate, and infinity is none."""
+    """A frame as `SlowPicture.take` returns it (in the thread: it takes tenths of a second). Depths of empty pixels are the farthest: textures interpolate, and infinity is none."""
     camera = reduced(view.camera, reduction)
     _, directions = camera.rays()
     cosines = (directions @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
