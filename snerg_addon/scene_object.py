@@ -192,9 +192,9 @@ def problem_of(thing: bpy.types.Object) -> str:
     return UNEVEN.format(thing.name) if even_scale(np.array(thing.matrix_world, np.float64)) is None else ""
 
 
-def box_corners(thing: bpy.types.Object) -> np.ndarray | None:
-    """[8, 3], the corners in the world of the box that was baked; None where it is not known."""
+def box_corners(thing: bpy.types.Object, matrix: np.ndarray | None = None) -> np.ndarray | None:
+    """[8, 3], the corners in the world of the box that was baked; None where it is not known. matrix: [4, 4], of an instance."""
     if not all(thing.snerg.size):
         return None
-    matrix = np.array(thing.matrix_world, np.float64)
+    matrix = np.array(thing.matrix_world, np.float64) if matrix is None else matrix
     return Box(np.eye(4), np.array(thing.snerg.size)).corners() @ matrix[:3, :3].T + matrix[:3, 3]

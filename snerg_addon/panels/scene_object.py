@@ -8,7 +8,7 @@ from ...core.errors import SnergError
 from .. import packing
 from ..originals import hidden_in
 from ..scene_object import folder_of, is_own, is_snerg_object, problem_of, source_of
-from ..viewport import draw
+from ..viewport import card, draw
 from ..viewport.loading import has_scene, loaded
 from .layout import draw_box, draw_sentence
 
@@ -58,15 +58,15 @@ class SNERG_PT_object(bpy.types.Panel):
             voxels = " x ".join(str(n) for n in entry.scene.shape)
             kind = "View-dependent" if entry.scene.network is not None else "Diffuse"
             if entry.scene.ndc is not None:
-                draw_sentence(layout, "A forward-facing scene: F12 and the preview show it, the viewport does not", "INFO")
-            elif not draw.works():
+                draw_sentence(layout, "A forward-facing scene: the processor draws it in the viewport, coarse and then refined", "INFO")
+            if not draw.works():
                 draw_sentence(layout, "The viewport cannot draw it here; the console says why. F12 and the preview work", "ERROR")
-            elif not draw.fits(entry.scene):
-                draw_sentence(layout, "The viewport does not draw it: it needs more graphics memory than the preferences allow", "ERROR")
+            elif said := card.problem_in_viewport(thing):
+                draw_sentence(layout, said, "ERROR")
             draw_box(
                 layout,
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
-                f"{draw.memory() / 2**20:.1f} MB of graphics memory in all",
+                f"{card.memory() / 2**20:.1f} MB of graphics memory in all",
             )
 
 

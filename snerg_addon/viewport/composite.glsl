@@ -18,5 +18,5 @@ void main()
   // The depth along the view axis through the projection: (P22, P23, P32, P33) of its matrix.
   float clip = (projection.x * z + projection.y) / (projection.z * z + projection.w);
   gl_FragDepth = clamp(0.5 * clip + 0.5, 0.0, 1.0);
-  colour = vec4(linear(clamp(marched.rgb / marched.a, 0.0, 1.0)) * marched.a, marched.a);
+  colour = vec4(seen * linear(clamp(marched.rgb / marched.a, 0.0, 1.0)) * marched.a, marched.a);
 }

@@ -18,13 +18,15 @@ COARSE = 4  # voxels along an axis of a coarse voxel, the unit of skipping withi
 COARSE_CELL = CELL_VOXELS // COARSE
 SIDES = (16, 32)  # cells along the side of a page that are tried: few pages, since a sample asks for its page by comparing with each
 _numbers = itertools.count()
+PIXEL_BYTES = 12  # of a Target
+LEAST_SIDE = 256  # texels along a side of a 3D texture that every card takes (OpenGL 4.3 and Vulkan guarantee no less)
 
 
 class GpuScene:
     """Textures and shader of a scene. bytes: what they take of the card's memory. number: no other one has had it; an identity is given
     again when its owner is gone.
 
-    Raises ValueError when the card has no room for so many cells.
+    Raises ValueError when the card has no room for so many cells, and whatever Blender raises when it refuses a texture or the shader.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -110,9 +112,24 @@ def skip_tables(cells: np.ndarray) -> np.ndarray:
 def texture(values: np.ndarray, form: str) -> gpu.types.GPUTexture:
     """[Z, Y, X, C] uint8 or float32 to a 3D texture; Blender takes floats alone, which are made in its own buffer: pages are large."""
     depth, height, width = values.shape[:3]
+    if max(values.shape[:3]) > largest_side():
+        raise ValueError(f"it needs a texture of {width} x {height} x {depth} texels, and the card takes {largest_side()} along a side")
     buffer = gpu.types.Buffer("FLOAT", values.size)
     np.divide(values.reshape(-1), np.float32(255 if values.dtype == np.uint8 else 1), out=np.asarray(buffer))
     return gpu.types.GPUTexture((width, height, depth), format=form, data=buffer)
+
+
+@cache
+def largest_side() -> int:
+    """Texels along a side of the largest 3D texture. Blender tells scripts of 2D ones alone: thin ones are tried, which take no room."""
+    side = int(gpu.capabilities.max_texture_size_get())
+    while side > LEAST_SIDE:
+        try:
+            gpu.types.GPUTexture((1, 1, side), format="R8")
+            return side
+        except (RuntimeError, ValueError, MemoryError):
+            side //= 2
+    return LEAST_SIDE
 
 
 class Target:
@@ -123,6 +140,22 @@ class Target:
         self.picture = gpu.types.GPUTexture(self.size, format="RGBA16F")
         self.depths = gpu.types.GPUTexture(self.size, format="R32F")
         self.buffer = gpu.types.GPUFrameBuffer(color_slots=(self.picture, self.depths))
+
+    @classmethod
+    def of(cls, colour: np.ndarray, depths: np.ndarray) -> Target:
+        """A finished picture, as `pixels` gives it but with the lowest row first."""
+        found = cls.__new__(cls)
+        found.size = depths.shape[1], depths.shape[0]
+        for name, values, form in (("picture", colour, "RGBA16F"), ("depths", depths, "R32F")):
+            buffer = gpu.types.Buffer("FLOAT", values.size)
+            np.asarray(buffer)[:] = values.reshape(-1)  # Blender's own copy takes values one at a time
+            setattr(found, name, gpu.types.GPUTexture(found.size, format=form, data=buffer))
+        return found
+
+    @property
+    def bytes(self) -> int:
+        """Of the card's memory."""
+        return PIXEL_BYTES * self.size[0] * self.size[1]
 
     def wait(self) -> None:
         """Until the card is done with what was drawn: reading a pixel takes that long."""

@@ -56,6 +56,7 @@ def composite_shader() -> gpu.types.GPUShader:
     """The marched picture and its depth into the viewport."""
     info = _info()
     info.push_constant("VEC4", "projection")
+    info.push_constant("FLOAT", "seen")  # 0: a holdout, black where it is
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "depths")
     info.fragment_out(0, "VEC4", "colour")

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...core.geometry.box import Box
+from ...core.geometry.camera import Camera
 from ...core.scene.scene import Scene
 
 
@@ -59,6 +60,18 @@ class Projection:
         corners = np.linalg.inv(p) @ np.array([[0, 0], [0, 0], [-1, 1], [1, 1]], np.float64)
         near, far = -corners[2] / corners[3]
         return cls((1 / p[0, 0], 1 / p[1, 1]), (float(x), float(y)), parallel, float(near), float(far), p)
+
+
+def camera_of(projection: Projection, camera_to_world: np.ndarray, width: int, height: int) -> tuple[Camera, float]:
+    """A view of so many pixels as a Camera, and how far it stands behind the view's own plane: a parallel view of Blender sees what lies
+    behind its plane, a Camera does not. Any scale in camera_to_world [4, 4] is left out, as Blender does."""
+    pose = np.array(camera_to_world, np.float64)
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    back = max(-projection.near, 0.0)
+    pose[:3, 3] += back * pose[:3, 2]
+    focal = width / 2 / projection.scale[0], height / 2 / projection.scale[1]
+    centre = width / 2 - projection.offset[0] * focal[0], height / 2 + projection.offset[1] * focal[1]
+    return Camera(width, height, focal, centre, pose, "orthographic" if projection.parallel else "perspective", "Viewport"), back
 
 
 def placed(scene: Scene, matrix: np.ndarray) -> np.ndarray:

@@ -10,6 +10,16 @@ from pathlib import Path
 import bpy
 from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
+from objects import (  # noqa: F401  # walks too
+    composite,
+    forward_facing,
+    instances,
+    kept,
+    little_memory,
+    refused_scene,
+    several_regions,
+    undo,
+)
 from viewport import between_meshes, gpu_frames, preview_seen, rewritten, shown_training  # noqa: F401  # walks too
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
