@@ -43,6 +43,8 @@ class TrainingPreview:
         if self._settings is None:
             return
         try:
+            if field.ndc is not None:
+                raise SnergError("the scene is forward-facing, and Blender's viewport shows no such scene.")
             self._bake(field, self._settings, fraction)
         except Cancelled:
             raise
@@ -59,13 +61,13 @@ class TrainingPreview:
         def tell(_fraction: float, _text: str, /) -> None:
             self._progress(fraction, "Baking a preview")
             if time.perf_counter() > end:
-                raise TooSlowError(f"baking one takes longer than {MOST_SECONDS:.0f} s")
+                raise TooSlowError(f"baking one takes longer than {MOST_SECONDS:.0f} s.")
 
         write_scene(bake(field, field.domain.world_box(), (), settings, tell), self._folder)
 
     def _give_up(self, error: BaseException, fraction: float) -> None:
         self._settings = None
-        self._progress(fraction, Note(f"No preview while training: {str(error) or 'there is not enough memory'}"))
+        self._progress(fraction, Note(f"No preview while training: {str(error) or 'there is not enough memory.'}"))
 
 
 @contextmanager

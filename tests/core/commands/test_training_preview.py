@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("jax")
 
+from scenes import make_frame
 from snerg.core.commands import training_preview
 from snerg.core.commands.train import train_field
 from snerg.core.commands.training_preview import TrainingPreview
@@ -78,6 +79,12 @@ def test_a_field_that_cannot_be_baked_ends_the_previews_and_not_the_training(tmp
         preview(replace(field, view="tiny"), 0.3)
     [(fraction, note)] = notes
     assert fraction == 0.3 and isinstance(note, Note) and note.startswith("No preview while training: The field's view dependence")
+
+
+def test_a_forward_facing_scene_has_no_preview_and_says_so(tmp_path, field):
+    notes = []
+    TrainingPreview(tmp_path / "preview", lambda fraction, text: notes.append(text))(replace(field, ndc=make_frame()), 0.3)
+    assert len(notes) == 1 and "forward-facing" in notes[0] and not (tmp_path / "preview").exists()
 
 
 def test_a_folder_of_the_artists_is_left_alone(tmp_path, field, often):
