@@ -110,7 +110,8 @@ def render(progress: Progress) -> dict[str, Any]:
         load_painted(source, order["images"])
         scene = bpy.data.scenes[order["scene"]]
         box = Box.from_json(order["box"]) if order["box"] else None
-        settings = CaptureSettings(**{name: tuple(v) if isinstance(v, list) else v for name, v in order["settings"].items()})
+        chosen: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in order["settings"].items()}
+        settings = CaptureSettings(**chosen)
         return render_dataset(scene, ordered_shots(scene, order, box), Path(order["folder"]), settings, box, progress, order["goes_on"])
     finally:
         shutil.rmtree(source, ignore_errors=True)

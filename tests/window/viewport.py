@@ -34,9 +34,8 @@ def gpu_frames(window: Window, folder: str, cameras: str) -> Walk:
         target = gpu_scene.Target(width, height)
         scale = width / 2 / camera.focal[0], height / 2 / camera.focal[1]
         offset = (width / 2 - camera.centre[0]) / camera.focal[0], (camera.centre[1] - height / 2) / camera.focal[1]
-        projection = view.Projection(scale, offset, camera.projection == "orthographic", 0.0, 1e6, np.eye(4))
+        projection = view.Projection(scale, offset, camera.projection == "orthographic", camera.near, min(camera.far, 1e6), np.eye(4))
         seen = view.uniforms(scene, scene.box.box_to_world, camera.camera_to_world, projection)
-        seen[8, 2] = max(scene.near, camera.near) / scene.voxel_size
         gpu_scene.march(held, seen, target)
         frame = rendering.render_scene(scene, camera)
         wanted = np.concatenate([frame.colour, frame.alpha[..., None]], axis=-1)
