@@ -102,7 +102,7 @@ function blenderTask(name, settings, args) {
 function bakeTasks(settings) {
     need(settings, "field", "out", "bakes");
     const bakes = settings.bakes.split(",").map((text) => {
-        const found = /^\s*([\w.-]+)\s*=\s*(\d+)\s*$/.exec(text);
+        const found = /^\s*(\w[\w.-]*)\s*=\s*(\d+)\s*$/.exec(text);
         if (!found) {
             throw `'${text}' is no bake; give NAME=VOXELS, such as 004=128`;
         }
@@ -121,6 +121,9 @@ function bakeTasks(settings) {
 // One task a part; then the study itself, which finds every row measured, and writes the report.
 function studyTasks(settings) {
     need(settings, "field", "out");
+    if (!(settings.parts >= 1)) {
+        throw `parts is ${settings.parts}; give 1 or more`;
+    }
     const study = ["study", settings.field, "--out", settings.out, ...common(settings)];
     const tasks = [];
     for (let part = 1; part <= settings.parts; part++) {

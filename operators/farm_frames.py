@@ -29,7 +29,9 @@ class SNERG_OT_farm_frames(bpy.types.Operator):
         if self.check:
             if bad:
                 names = ", ".join(str(frame) for frame in sorted(bad))
-                self.report({"ERROR"}, f"Frames are missing or damaged in {next(iter(bad.values())).parent}: {names}; run their tasks again.")
+                self.report(
+                    {"ERROR"}, f"Frames are missing or damaged in {next(iter(bad.values())).parent}: {names}; run their tasks again."
+                )
                 return {"CANCELLED"}
             self.report({"INFO"}, f"All {len(paths)} frames are there")
             return {"FINISHED"}
