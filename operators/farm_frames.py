@@ -56,11 +56,11 @@ def is_whole(path: Path) -> bool:
     """Whether a file is there and is an image that can be read to its end."""
     if not path.is_file():
         return False
-    import OpenImageIO as oiio  # Blender brings it
+    import OpenImageIO  # Blender brings it
 
-    image = oiio.ImageInput.open(str(path))
+    image = OpenImageIO.ImageInput.open(str(path))
     if image is None:
-        oiio.geterror()  # else it is printed at the end
+        OpenImageIO.geterror()  # else it is printed at the end
         return False
     try:
         return image.read_image() is not None and not image.has_error
