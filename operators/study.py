@@ -32,18 +32,10 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
 
         Each field, box and resolution has a folder of its own, so that a study only continues measurements of the same.
         """
-        settings = context.scene.snerg
-        arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
-        where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
-        if box := box_to_bake(context, project):
-            where += f"-{zlib.crc32(box):08x}"
-            path = project.studies / f"{where}.json"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, box)
-            arguments += ["--box", str(path)]
-        if settings.target_db:
-            arguments += ["--target-db", f"{settings.target_db:g}"]
-        return start_training([*arguments, "--out", str(project.studies / where)])
+        folder, box = study_folder(context, project)
+        arguments = ["study", str(project.field), *study_options(context)]
+        arguments += ["--box", str(box)] if box else []
+        return start_training([*arguments, *target_options(context), "--out", str(folder)])
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Load the contact sheet as an image, and record where the report is."""
@@ -55,3 +47,28 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
         image.name = STUDY
         remember(project, "study", folder, result)
         return f"Measured {result['configurations']} configurations; the report is {result['report']}"
+
+
+def study_folder(context: bpy.types.Context, project: Project) -> tuple[Path, Path | None]:
+    """The folder of the study of the project's field with the panel's settings, and the file of its box; None for the whole domain."""
+    where = f"{context.scene.snerg.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
+    box = box_to_bake(context, project)
+    if box is None:
+        return project.studies / where, None
+    where += f"-{zlib.crc32(box):08x}"
+    path = project.studies / f"{where}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, box)
+    return project.studies / where, path
+
+
+def study_options(context: bpy.types.Context) -> list[str]:
+    """The command-line options for the panel's settings."""
+    settings = context.scene.snerg
+    return ["--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
+
+
+def target_options(context: bpy.types.Context) -> list[str]:
+    """The command-line options for the panel's target; [] where there is none."""
+    target = context.scene.snerg.target_db
+    return ["--target-db", f"{target:g}"] if target else []

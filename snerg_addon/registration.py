@@ -8,7 +8,7 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import box_gizmo, command, engine, menus, overlay, panels, properties, saving, scene_object, training_python
+from . import box_gizmo, command, engine, flamenco, menus, overlay, panels, properties, saving, scene_object, training_python
 from .viewport import draw
 
 CLASSES = (
@@ -46,6 +46,7 @@ def unregister() -> None:
     draw.unregister()
     watch.unregister()
     training_python.stop()
+    flamenco.stop()
     saving.unregister()
     quit.remove_keys()
     while _commands:

@@ -6,6 +6,7 @@ from .bake import SNERG_PT_bake
 from .box import SNERG_PT_box
 from .dataset import SNERG_PT_dataset
 from .export import SNERG_PT_export
+from .farm import SNERG_PT_farm
 from .field import SNERG_PT_field
 from .main import SNERG_PT_main
 from .preferences import SNERG_AP_preferences
@@ -23,5 +24,6 @@ CLASSES = (
     SNERG_PT_preview,
     SNERG_PT_study,
     SNERG_PT_export,
+    SNERG_PT_farm,
     SNERG_PT_object,
 )
