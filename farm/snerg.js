@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 //
 // A job type of Flamenco (https://flamenco.blender.org): frames of the SNeRG engine, bakes, and studies. Copy this file into the folder
-// `scripts` beside the Flamenco Manager. Every worker needs Blender with the SNeRG extension, and sees the paths of the settings.
+// `scripts` beside the Flamenco Manager (3.6 or later). Every worker needs Blender with the SNeRG extension, and sees the settings' paths.
 
 const JOB_TYPE = {
     label: "SNeRG",
@@ -64,7 +64,7 @@ function frameTasks(settings, job) {
             "--python-expr", `import bpy; bpy.ops.snerg.farm_frames(frames='${chunk}')`,
             "--render-frame", chunk.replaceAll("-", ".."), // Blender's notation of ranges
         ]));
-    const all = frameChunker(settings.frames, frameCount(settings.frames))[0];
+    const all = frameChunker(settings.frames, 1e6)[0]; // one chunk
     const join = blenderTask("check-frames", settings, [
         "--python-expr", `import bpy; bpy.ops.snerg.farm_frames(frames='${all}', check=True)`,
     ]);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -58,7 +59,7 @@ def is_whole(path: Path) -> bool:
         return False
     import OpenImageIO  # Blender brings it
 
-    image = OpenImageIO.ImageInput.open(str(path))
+    image: Any = OpenImageIO.ImageInput.open(str(path))  # None where it is no image, whatever its types say
     if image is None:
         OpenImageIO.geterror()  # else it is printed at the end
         return False

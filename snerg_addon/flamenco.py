@@ -117,7 +117,7 @@ def job_type(url: str) -> dict[str, Any]:
     except Refused as error:
         if error.code != 404:
             raise
-        text = f"It does not know jobs of SNeRG; copy {SCRIPT} into the folder 'scripts' beside the Manager, and start it again."
+        text = f"It does not know jobs of SNeRG; copy {SCRIPT} into the folder 'scripts' beside the Manager, then ask again."
         raise SnergError(text) from error
 
 

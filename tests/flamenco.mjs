@@ -15,7 +15,6 @@ const globals = {
     print: () => undefined,
     alert: () => undefined,
     frameChunker,
-    frameCount: (range) => explode(range).length,
     formatTimestampLocal: (created) => created,
     shellSplit,
     author: { Task: task, Command: command },
