@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import json
 import socket
-import threading
 import time
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import bpy
 import pytest
 
-from farm import arguments, compiled
+from farm import a_manager, arguments
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
 from snerg.operators.farm_frames import frame_numbers, is_whole
@@ -22,38 +19,6 @@ from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.scene_object import folder_of, make
 
 preferences = importlib.import_module("snerg.snerg_addon.preferences")
-
-
-class Manager(BaseHTTPRequestHandler):
-    """The part of Flamenco's API, version 3, that is used. Attributes of the server: jobs, known, storage."""
-
-    def do_GET(self):
-        paths = {"/api/v3/version": {"version": "3.7.0", "shortversion": "3.7", "name": "Flamenco", "git": ""}}
-        paths["/api/v3/configuration/shared-storage/users/linux"] = {"location": self.server.storage, "audience": "users"}
-        if self.server.known:
-            paths["/api/v3/jobs/type/snerg"] = {"name": "snerg", "label": "SNeRG", "etag": "abc", "settings": []}
-        found = paths.get(self.path)
-        self.answer(200 if found else 404, found or {"code": 404, "message": "no such job type known"})
-
-    def do_POST(self):
-        job = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-        assert self.path == "/api/v3/jobs" and {"name", "type", "priority", "submitter_platform"} <= job.keys()
-        if job["type_etag"] != "abc":
-            return self.answer(412, {"code": 412, "message": "rejecting job because its settings are outdated"})
-        try:
-            made = compiled(**job["settings"])
-        except ValueError as error:
-            return self.answer(400, {"code": 400, "message": f"error compiling job: {error}"})
-        self.server.jobs.append((job, made))
-        return self.answer(200, {**job, "id": "0123", "status": "queued"})
-
-    def answer(self, code, value):
-        self.send_response(code)
-        self.end_headers()
-        self.wfile.write(json.dumps(value).encode())
-
-    def log_message(self, *_):
-        pass
 
 
 @pytest.fixture
@@ -69,15 +34,9 @@ def chosen(monkeypatch, scene):
 
 @pytest.fixture
 def manager(chosen, tmp_path):
-    server = HTTPServer(("127.0.0.1", 0), Manager)
-    server.jobs, server.known, server.storage = [], True, str(tmp_path)
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-    thread.start()
-    chosen(f"http://127.0.0.1:{server.server_port}")
-    yield server
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with a_manager(tmp_path) as server:
+        chosen(server.url)
+        yield server
 
 
 def answer():

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from farm import arguments, compiled
+from farm import a_manager, arguments, compiled
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
 from snerg.core.io.images import read_image
@@ -120,3 +120,11 @@ def test_a_worker_without_the_extension_fails(blender, shot):
     line = arguments(job_of(shot, "bare", 20)[0]["commands"][0])[1:]
     result = blender.run("--factory-startup", *line)
     assert result.returncode == 1 and not list((shot / "bare").glob("*"))
+
+
+def test_the_panel_sends_frames_where_a_manager_answers(blender, shot):
+    with a_manager(shot) as server:
+        seen = blender.walk("send_frames", server.url, shot / "shot.blend")
+    assert not seen["without"] and seen["found"] and seen["sent"], seen
+    ((job, made),) = server.jobs
+    assert job["name"] == "shot: frames 1-20" and len(made["tasks"]) == 5
