@@ -8,10 +8,14 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from farm import ROOT, arguments, compiled
+from snerg.core.baking.bake import BakeSettings
+from snerg.core.commands.bake import bake_scene
 from snerg.core.commands.train import train_field
+from snerg.core.export.scene_files import read_scene
 
 FRAMES = {"work": "frames", "blendfile": "/s/a.blend", "scene": "Shot", "frames": "1-20", "chunk_size": 7, "fps": 25}
 FRAMES |= {"render_output": "/s/{timestamp}/######", "video": True, "image_file_extension": ".png"}
@@ -131,6 +135,26 @@ def values(folder):
     read = {key: json.loads(path.read_text()) for key, path in rows(folder).items()}
     read = {key: row for key, row in read.items() if row["config"] is None or row["config"]["codec"]["name"] != "h264"}
     return {key: {name: value for name, value in row.items() if name not in MEASURED} for key, row in read.items()}
+
+
+@pytest.mark.slow
+def test_bakes_of_tasks_are_those_of_one_machine(dataset, tmp_path):
+    pytest.importorskip("jax")
+    values = {"family.grid.levels": "4", "family.grid.log2_size": "12", "samples": "4096", "view_dependence": "diffuse"}
+    train_field(dataset, tmp_path / "field", steps=40, values=values)
+    settings = {"work": "bakes", "field": str(tmp_path / "field"), "out": str(tmp_path / "scenes"), "options": "--samples 1"}
+    job = compiled(**settings, bakes="001=12, 002=20")
+    for process in [start(task) for task in job["tasks"][:-1]]:
+        finish(process)
+    for command in job["tasks"][-1]["commands"]:
+        finish(start({"commands": [command]}))
+    for name, resolution in (("001", 12), ("002", 20)):
+        bake_scene(tmp_path / "field", tmp_path / name, BakeSettings(resolution=resolution, supersampling=1))
+        made, alone = read_scene(tmp_path / "scenes" / name), read_scene(tmp_path / name)
+        assert max(made.shape) >= resolution and np.array_equal(made.cells, alone.cells)
+    (tmp_path / "scenes" / "002" / "scene.json").unlink()
+    missing = start({"commands": [job["tasks"][-1]["commands"][1]]})
+    assert "002" in missing.communicate()[0] and missing.returncode == 2
 
 
 @pytest.mark.slow
