@@ -48,15 +48,31 @@ class SNERG_OT_study(TaskOperator, bpy.types.Operator):
 
 def study_arguments(context: bpy.types.Context, project: Project) -> list[str]:
     """The command line of the study. Writes the current box beside the study."""
+    folder, box = study_folder(context, project)
+    arguments = ["study", str(project.field), *study_options(context), *(["--box", str(box)] if box else [])]
+    return [*arguments, *target_options(context), "--out", str(folder)]
+
+
+def study_folder(context: bpy.types.Context, project: Project) -> tuple[Path, Path | None]:
+    """The folder of the study of the project's field with the panel's settings, and the file of its box; None for the whole domain."""
+    where = f"{context.scene.snerg.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
+    box = box_to_bake(context, project)
+    if box is None:
+        return project.studies / where, None
+    where += f"-{zlib.crc32(box):08x}"
+    path = project.studies / f"{where}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, box)
+    return project.studies / where, path
+
+
+def study_options(context: bpy.types.Context) -> list[str]:
+    """The command-line options for the panel's settings."""
     settings = context.scene.snerg
-    arguments = ["study", str(project.field), "--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
-    where = f"{settings.resolution}-{(project.field / 'field.npz').stat().st_mtime_ns:x}"
-    if box := box_to_bake(context, project):
-        where += f"-{zlib.crc32(box):08x}"
-        path = project.studies / f"{where}.json"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, box)
-        arguments += ["--box", str(path)]
-    if settings.target_db:
-        arguments += ["--target-db", f"{settings.target_db:g}"]
-    return [*arguments, "--out", str(project.studies / where)]
+    return ["--minutes", f"{settings.study_minutes:g}", "--resolution", str(settings.resolution)]
+
+
+def target_options(context: bpy.types.Context) -> list[str]:
+    """The command-line options for the panel's target; [] where there is none."""
+    target = context.scene.snerg.target_db
+    return ["--target-db", f"{target:g}"] if target else []

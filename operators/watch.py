@@ -16,7 +16,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, saving, steps, training_object, training_python
+from ..snerg_addon import activity, flamenco, saving, steps, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
 from .task_operator import TaskOperator, redraw, remember_for_undo
@@ -31,7 +31,7 @@ def tick() -> float:
     """The timer's function. Returns the seconds until its next call."""
     global _stale
     try:
-        _stale = training_python.poll() or _stale or bool(activity.current())
+        _stale = any([training_python.poll(), flamenco.poll()]) or _stale or bool(activity.current())
         saving.move_saved_projects()
         find()
         if windows := bpy.context.window_manager.windows:

@@ -11,7 +11,7 @@ STEPS = (
     ("snerg.hide_originals", "snerg.show_originals"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),
     ("snerg.export_web", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
-    ("snerg.copy_command", "snerg.import_file"),
+    ("snerg.copy_command", "snerg.import_file", "snerg.send_to_flamenco"),
 )
 
 

@@ -8,6 +8,7 @@ import bpy
 
 ADDON = __package__.rpartition(".")[0]  # the extension's own name, by which Blender keeps its preferences
 GPU_MEGABYTES = 2048
+FLAMENCO_URL = "http://localhost:8080"  # the port that a Flamenco Manager listens on
 
 
 def gpu_bytes() -> int:
@@ -19,6 +20,11 @@ def training_python() -> str:
     """The path of another Python that trains; empty for Blender's own."""
     path = str(_chosen("training_python", "")).strip()
     return str(bpy.path.abspath(path)) if path else ""
+
+
+def flamenco_url() -> str:
+    """The URL of the Flamenco Manager; empty where jobs are sent to none."""
+    return str(_chosen("flamenco_url", FLAMENCO_URL)).strip()
 
 
 def _chosen(name: str, otherwise: Any) -> Any:

@@ -8,7 +8,21 @@ import bpy
 
 from .. import operators
 from ..operators import quit, watch
-from . import box_gizmo, command, engine, menus, overlay, panels, pictures, properties, saving, scene_object, steps, training_python
+from . import (
+    box_gizmo,
+    command,
+    engine,
+    flamenco,
+    menus,
+    overlay,
+    panels,
+    pictures,
+    properties,
+    saving,
+    scene_object,
+    steps,
+    training_python,
+)
 from .viewport import draw
 
 CLASSES = (
@@ -49,6 +63,7 @@ def unregister() -> None:
     draw.unregister()
     watch.unregister()
     training_python.stop()
+    flamenco.stop()
     saving.unregister()
     quit.remove_keys()
     while _commands:

@@ -27,8 +27,9 @@ WAIT_SECONDS = 0.5  # for another writer that has not yet written its name, or i
 
 
 @contextlib.contextmanager
-def one_writer(path: Path, doing: str) -> Iterator[None]:
-    """Hold the lock of the result at `path`. doing: what the lock file calls the work, such as 'a training'.
+def one_writer(path: Path, doing: str, patience: float = WAIT_SECONDS) -> Iterator[None]:
+    """Hold the lock of the result at `path`. doing: what the lock file calls the work, such as 'a training'. patience: seconds to wait
+    for another writer.
 
     The lock is on the hidden file .NAME.lock beside `path`, which names its holder and is deleted at the end. After a kill the file
     remains without the lock, and the next writer takes it over. A file system without locks excludes nobody.
@@ -38,7 +39,7 @@ def one_writer(path: Path, doing: str) -> Iterator[None]:
     file = path.with_name(f".{path.name}.lock")
     made = [folder for folder in (path.parent, *path.parent.parents) if not folder.exists()]
     try:
-        descriptor = _acquire(file, path)
+        descriptor = _acquire(file, path, patience)
         try:
             about = {"pid": os.getpid(), "host": platform.node(), "doing": doing, "since": time.time()}
             os.ftruncate(descriptor, 0)
@@ -75,9 +76,9 @@ def writes_out(doing: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return decorate
 
 
-def _acquire(file: Path, path: Path) -> int:
+def _acquire(file: Path, path: Path, patience: float) -> int:
     """The descriptor of the lock file, locked. Raises SnergError when another has the lock, OSError when the file cannot be opened."""
-    end = time.monotonic() + WAIT_SECONDS
+    end = time.monotonic() + patience
     while True:
         file.parent.mkdir(parents=True, exist_ok=True)
         try:

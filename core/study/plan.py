@@ -32,6 +32,47 @@ class StudySettings:
 
 
 @dataclass(frozen=True)
+class Part:
+    """One of `count` parts of a study that are measured apart, on one machine or several. number: from 1."""
+
+    number: int
+    count: int
+
+    @classmethod
+    def read(cls, text: str) -> Part:
+        """The part that '2/8' names. Raises ValueError on anything else."""
+        number, count = (int(word) for word in text.split("/"))
+        if not 1 <= number <= count:
+            raise ValueError(f"{text} is no part: the first number counts from 1 to the second")
+        return cls(number, count)
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+    @property
+    def name(self) -> str:
+        """'2-of-8', as part of a file's name."""
+        return f"{self.number}-of-{self.count}"
+
+    def share(self, plan: Sequence[PlanStep]) -> list[PlanStep]:
+        """The steps of a plan that the part measures, in order.
+
+        Steps that share a bake are in one part, so that each bake is made once. The groups go, the largest first, to the part that has
+        least: a share depends on the plan alone, and every machine finds the same. A bake counts as one step more.
+        """
+        groups: dict[str, list[PlanStep]] = {}
+        for step in plan:
+            groups.setdefault(step.config.baked, []).append(step)
+        loads, chosen = [0] * self.count, set()
+        for baked, steps in sorted(groups.items(), key=lambda item: -len(item[1])):
+            lightest = loads.index(min(loads))
+            loads[lightest] += 1 + len(steps)
+            if lightest == self.number - 1:
+                chosen.add(baked)
+        return [step for step in plan if step.config.baked in chosen]
+
+
+@dataclass(frozen=True)
 class Configuration:
     """Everything that a scene is made and shown with."""
 

@@ -7,7 +7,7 @@ import shutil
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,8 @@ from .machine import describe_machine
 from .packages import needs_package
 from .paper_tables import BAKED, PAPER, VARIANTS
 from .pareto import StudyTarget, choose
-from .plan import Configuration, PlanStep, StudySettings, available, plan_steps
+from .parts import elsewhere, no_parts, note_part, part_writer
+from .plan import Configuration, Part, PlanStep, StudySettings, available, plan_steps
 from .report import StudyResults, html, write_plots
 from .summary import accuracy, csv_of
 from .sweep import StudySubject, Sweep, field_key
@@ -72,22 +73,21 @@ def study(
     cannot be read, and where no configuration meets the target (after the report is written); Cancelled when `progress` does.
     """
     check_packages()
+    with no_parts(out):
+        return _study(source, out, dataset, settings, target, progress)
+
+
+def _study(source: Path, out: Path, dataset: Path | None, settings: StudySettings, target: StudyTarget, progress: Progress) -> Result:
     deadline = time.monotonic() + 60 * settings.minutes
-    kind = kind_of(source)
-    notes: list[str] = []
-    opened = open_field(source) if kind in ("field", "checkpoint") else open_scene(source) if kind != "dataset" else None
-    views, training = _views(source, opened, dataset, settings, notes)
-    about = _about(source, kind, views, settings, notes)
-    begin(out, about)
-    begun = 0.3 if kind == "dataset" else 0.02  # fraction of the progress until the first configuration
-    subject, baseline = _subject(source, opened, views, training, out, settings, within(progress, 0, begun))
-    sweep = Sweep(subject, out)
-    baseline = replace(baseline, refine=baseline.refine and sweep.refinable(baseline.field))
-    plan = _plan(sweep, baseline, subject)
+    inputs = _inputs(source, dataset, settings)
+    begin(out, inputs.about)
+    begun = 0.3 if inputs.opened is None else 0.02  # fraction of the progress until the first configuration
+    sweep, plan, baseline = _sweep(inputs, out, settings, within(progress, 0, begun))
     left_out = measure(sweep, plan, baseline, deadline, settings.minutes, within(progress, begun, 0.95))
-    if settings.paper and subject.scene is None:
+    if settings.paper and sweep.subject.scene is None:
         left_out += variants(sweep, plan, baseline, deadline, settings, within(progress, 0.95, 0.95))
-    results = study_results(sweep, plan, baseline, about, left_out)
+    inputs.about["notes"] += elsewhere(out)
+    results = study_results(sweep, plan, baseline, inputs.about, left_out)
     write_results(results, out)
     result = _result(results, out)
     if target:
@@ -95,6 +95,63 @@ def study(
     if not left_out:
         shutil.rmtree(out / "work", ignore_errors=True)
     return result
+
+
+def study_part(
+    source: Path,
+    out: Path,
+    part: Part,
+    dataset: Path | None = None,
+    settings: StudySettings = DEFAULT_SETTINGS,
+    progress: Progress = silent,
+) -> Result:
+    """Measure the configurations of one part of a study, and write their rows to `out`; `study` then writes the report of all.
+
+    Several parts may be measured at the same time, in processes or on machines that share `out`. A part that is started again measures
+    what has no row. source: a field, a checkpoint or a baked scene. Raises SnergError as `study` does, for a dataset, and when the same
+    part or the whole study is being measured; Cancelled when `progress` does.
+    """
+    if kind_of(source) == "dataset":
+        raise SnergError(f"{source} is a dataset, whose study trains fields first; train a field, and measure that in parts.")
+    deadline = time.monotonic() + 60 * settings.minutes
+    inputs = _inputs(source, dataset, settings)
+    with part_writer(out, part, lambda: begin(out, inputs.about)):
+        sweep, plan, baseline = _sweep(inputs, out, settings, within(progress, 0, 0.02), f"stored-{part.name}")
+        share = part.share(plan)
+        with_fields = any(step.config == baseline for step in share)
+        left_out = measure(sweep, share, baseline, deadline, settings.minutes, within(progress, 0.02, 1), with_fields)
+        note_part(out, part)
+    measured = sum(step.config.key in sweep.rows for step in share)
+    return {"out": str(out), "part": str(part), "configurations": measured, "left_out": len(left_out), "notes": inputs.about["notes"]}
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What a study reads: its source, opened (None for a dataset), views to measure on, training images, and the value of about.json."""
+
+    source: Path
+    opened: Field | Scene | None
+    views: Dataset
+    training: Dataset
+    about: dict[str, Any]
+
+
+def _inputs(source: Path, dataset: Path | None, settings: StudySettings) -> _Inputs:
+    kind = kind_of(source)
+    notes: list[str] = []
+    opened = open_field(source) if kind in ("field", "checkpoint") else open_scene(source) if kind != "dataset" else None
+    views, training = _views(source, opened, dataset, settings, notes)
+    return _Inputs(source, opened, views, training, _about(source, kind, views, settings, notes))
+
+
+def _sweep(
+    inputs: _Inputs, out: Path, settings: StudySettings, progress: Progress, stored: str = "stored"
+) -> tuple[Sweep, list[PlanStep], Configuration]:
+    """The sweep, the plan and the baseline of a study. stored: see Sweep."""
+    subject, baseline = _subject(inputs.source, inputs.opened, inputs.views, inputs.training, out, settings, progress)
+    sweep = Sweep(subject, out, stored)
+    baseline = replace(baseline, refine=baseline.refine and sweep.refinable(baseline.field))
+    return sweep, _plan(sweep, baseline, subject), baseline
 
 
 def _result(results: StudyResults, out: Path) -> Result:
@@ -232,11 +289,18 @@ def _plan(sweep: Sweep, baseline: Configuration, subject: StudySubject) -> list[
 
 
 def measure(
-    sweep: Sweep, plan: Sequence[PlanStep], baseline: Configuration, deadline: float, minutes: float, progress: Progress
+    sweep: Sweep,
+    plan: Sequence[PlanStep],
+    baseline: Configuration,
+    deadline: float,
+    minutes: float,
+    progress: Progress,
+    with_fields: bool = True,
 ) -> list[str]:
     """Measure the configurations without a row, until the deadline (of time.monotonic); returns the texts of those that were left out.
 
-    A configuration that is predicted to exceed the deadline is skipped. Raises SnergError where the time is too short for the first.
+    with_fields: whether the fields themselves are measured, too. A configuration that is predicted to exceed the deadline is skipped.
+    Raises SnergError where the time is too short for the first.
     """
     left_out, ratios = [], [1.0]
     for index, step in enumerate(plan):
@@ -256,7 +320,7 @@ def measure(
         ratios.append(min(max((time.monotonic() - begun) / max(expected, 1e-3), 0.3), 3.0))
         if step.config == baseline:
             fields(sweep, deadline, within(progress, (index + 1) / len(plan), (index + 1) / len(plan)))
-    return left_out + fields(sweep, deadline, within(progress, 1, 1))
+    return left_out + (fields(sweep, deadline, within(progress, 1, 1)) if with_fields else [])
 
 
 def _named(progress: Progress, step: PlanStep) -> Progress:

@@ -66,9 +66,11 @@ class StudySubject:
 class Sweep:
     """The rows of a study in a folder: rows/KEY.json, pictures/KEY.png, and work/ with bakes that several rows share."""
 
-    def __init__(self, subject: StudySubject, out: Path) -> None:
-        """Read the rows that the folder has. Raises SnergError when they cannot be read."""
+    def __init__(self, subject: StudySubject, out: Path, stored: str = "stored") -> None:
+        """Read the rows that the folder has. stored: the folder in work/ of the scene that is stored and read back, which no other
+        process may use. Raises SnergError when the rows cannot be read."""
         self.subject, self.out = subject, out
+        self._stored_at = out / "work" / stored
         self.rows = {path.stem: read_row(path) for path in sorted((out / "rows").glob("*.json"))}
         self._fields: dict[str, Field] = {}
         self._probes: dict[str, FieldProbe] = {}
@@ -261,7 +263,7 @@ class Sweep:
         key = (config.baked, config.refine, str(config.codec.to_json()))
         if key in self._stored:
             return self._stored[key]
-        folder = self.out / "work" / "stored"
+        folder = self._stored_at
         began = time.perf_counter()
         write_scene(snerg, folder, codec=config.codec if snerg.quantised else PNG)
         written = time.perf_counter()

@@ -7,8 +7,8 @@ import textwrap
 
 import bpy
 
-from .. import training_python
-from ..preferences import ADDON, GPU_MEGABYTES
+from .. import flamenco, training_python
+from ..preferences import ADDON, FLAMENCO_URL, GPU_MEGABYTES
 
 LINE_WIDTH = 80  # characters of a line that fit into the preferences' window at its default width
 
@@ -31,17 +31,31 @@ class SNERG_AP_preferences(bpy.types.AddonPreferences):
         subtype="FILE_PATH",
     )
 
+    flamenco_url: bpy.props.StringProperty(
+        name="Flamenco Manager",
+        description="Address of the Manager of a Flamenco render farm. Where one answers, the sidebar offers to send jobs to it",
+        default=FLAMENCO_URL,
+    )
+
     def draw(self, context: bpy.types.Context) -> None:
-        """The settings, and what the Python for training says of its devices."""
+        """The settings, and what the Python for training and the farm say of themselves."""
         self.layout.use_property_split = True
         self.layout.prop(self, "gpu_megabytes")
         row = self.layout.row(align=True)
         row.prop(self, "training_python", placeholder="Blender's own")
-        if not self.training_python:
-            return
-        row.operator("snerg.ask_python", text="", icon="FILE_REFRESH")
-        answer = training_python.devices()
-        if answer is not None:
-            column = self.layout.column(align=True)
-            for line in textwrap.wrap(answer.text, LINE_WIDTH):
-                column.label(text=line, icon=answer.icon)
+        if self.training_python:
+            row.operator("snerg.ask_python", text="", icon="FILE_REFRESH")
+            draw_answer(self.layout, training_python.devices())
+        row = self.layout.row(align=True)
+        row.prop(self, "flamenco_url", placeholder="None")
+        if self.flamenco_url:
+            row.operator("snerg.ask_flamenco", text="", icon="FILE_REFRESH")
+            draw_answer(self.layout, flamenco.manager())
+
+
+def draw_answer(layout: bpy.types.UILayout, answer: training_python.Answer | flamenco.Answer | None) -> None:
+    """A sentence, on as many lines as it takes."""
+    if answer is not None:
+        column = layout.column(align=True)
+        for line in textwrap.wrap(answer.text, LINE_WIDTH):
+            column.label(text=line, icon=answer.icon)

@@ -108,7 +108,7 @@ def test_the_zip_holds_the_code_and_nothing_else(light_zip):
     unwanted = ("tests/", "node_modules", "__pycache__", ".git", "tools/", "demo/", "build/", ".venv")
     assert not [name for name in names if any(part in name for part in unwanted)]
     assert manifest["id"] == "snerg_addon" and manifest["license"] == ["SPDX:GPL-3.0-or-later"]
-    assert set(manifest["permissions"]) == {"files"} and manifest["blender_version_min"] == "4.5.0"
+    assert set(manifest["permissions"]) == {"files", "network"} and manifest["blender_version_min"] == "4.5.0"
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     assert manifest["version"] == version
 

@@ -344,3 +344,29 @@ def begin(window: Window, name: str, photos: str = "") -> Walk:
     if photos:
         window.settings.dataset = photos
     yield from window.open_sidebar()
+
+
+def send_frames(window: Window, url: str, blend: str) -> Walk:
+    """Name a Manager in the preferences; its panel appears; send frames by its button and the dialog's Enter."""
+    panel = bpy.types.SNERG_PT_farm
+    bpy.utils.unregister_class(panel)
+    panel.bl_options = set()  # open: no script can open a panel
+    bpy.utils.register_class(panel)
+    yield from window.file("open_mainfile", Path(blend))
+    addons = bpy.context.preferences.addons
+    addon = next(addon for addon in addons if addon.module.endswith(".snerg_addon"))
+    addon.preferences.flamenco_url = ""
+    yield from window.open_sidebar()
+    yield from window.wait(2)
+    window.seen["without"] = panel.poll(bpy.context)
+    addon.preferences.flamenco_url = url
+    yield from window.over_view()
+    window.seen["found"] = yield from window.until(lambda: panel.poll(bpy.context), 20)
+    yield from window.picture("panel")
+    yield from window.click("snerg.send_to_flamenco")
+    yield from window.wait(1)
+    window.shoot("dialog")
+    yield from window.press("RET")
+    window.seen["sent"] = yield from window.until(lambda: any("Sent" in text for text in window.texts("main")), 30)
+    window.seen["texts"] = window.texts("farm") + window.texts("main")
+    yield from window.picture("sent")

@@ -7,7 +7,7 @@ import pytest
 from snerg.core.baking.bake import BakeSettings
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.rendering.render import MarchSettings
-from snerg.core.study.plan import RESOLUTION, STAGES, WATERFALL, Configuration, plan_steps
+from snerg.core.study.plan import RESOLUTION, STAGES, WATERFALL, Configuration, Part, plan_steps
 
 BASELINE = Configuration(BakeSettings(resolution=64))
 ALL = ["webp", "jpeg", "avif", "h264"]
@@ -57,3 +57,22 @@ def test_a_key_stands_for_one_configuration(other):
     assert other.key != BASELINE.key and Configuration.from_json(other.to_json()) == other
     assert (other.baked == BASELINE.baked) is (other.bake == BASELINE.bake and other.field == BASELINE.field)
     assert replace(BASELINE, march=MarchSettings(batch=1024)).key == BASELINE.key  # which changes no result
+
+
+@pytest.mark.parametrize("count", [1, 2, 8, 100])
+def test_parts_are_the_whole_and_share_no_bake(count):
+    plan = plan_steps(BASELINE, True, True, True, ALL)
+    shares = [Part(number, count).share(plan) for number in range(1, count + 1)]
+    assert sorted(step.config.key for share in shares for step in share) == sorted(step.config.key for step in plan)
+    bakes = [{step.config.baked for step in share} for share in shares]
+    assert sum(map(len, bakes)) == len(set().union(*bakes)), "a bake is made in one part"
+    assert all([step for step in plan if step in share] == share for share in shares), "in the order of the plan"
+    largest = max(sum(step.config.baked == baked for step in plan) for baked in set().union(*bakes))
+    loads = [len(share) + len(made) for share, made in zip(shares, bakes, strict=True)]
+    assert max(loads) - min(loads) <= largest + 1
+
+
+@pytest.mark.parametrize("text", ["0/8", "9/8", "1", "1/2/3", "a/b", "-1/2", ""])
+def test_what_is_no_part_is_refused(text):
+    with pytest.raises(ValueError):
+        Part.read(text)
