@@ -60,6 +60,7 @@ class Dataset:
     kind: str = "transforms"  # or 'llff' or 'colmap'
     split_names: tuple[str, ...] = ()  # of all splits of the capture
     skipped_frames: int = 0  # frames of the source that have no image
+    notes: tuple[str, ...] = ()  # sentences that say what the reader passed over or repaired
     source: Source | None = None  # what the reader found, for other splits; None if the dataset was not read from files
 
     @property
@@ -119,6 +120,7 @@ class Source:
     half_extent: float | None = None  # half the side of the cube around the origin that the scene fills; None if not given
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
+    notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:

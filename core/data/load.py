@@ -63,6 +63,7 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
         kind=source.kind,
         split_names=names,
         skipped_frames=source.skipped_frames,
+        notes=source.notes,
         source=source,
     )
 

@@ -13,7 +13,8 @@ from ...io.guard import check_file, reading
 from ...io.images import read_size
 from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
-from ..image_resolver import image_folder, images_in, scaled_to
+from ..image_resolver import check_distinct, find_image, image_folder, images_in, scaled_to
+from .colmap import largest_model, read_model
 
 FILE = "poses_bounds.npy"
 MAX_BYTES = 2**26  # 490,000 views
@@ -36,6 +37,8 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
     folder, factor = image_folder(root, options.downscale, str(root / FILE))
     images = images_in(folder, str(root))
     if len(images) != len(table):
+        images = registered(root, folder, len(table)) or images
+    if len(images) != len(table):
         raise SnergError(f"{root / FILE} has {len(table)} poses, but {folder} has {len(images)} images; they must be as many.")
     views = []
     for index, (row, image) in enumerate(zip(table, images, strict=True)):
@@ -52,6 +55,17 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
         )
         views.append(View(camera, image))
     return Source(root, "llff", tuple(views), photographs=True, bounds=table[:, 15:], factor=factor)
+
+
+def registered(root: Path, folder: Path, count: int) -> list[Path]:
+    """The images of the COLMAP model beside the table, sorted by name as LLFF sorts them; none unless the model has `count` images."""
+    model, _ = largest_model(root)
+    if model is None:
+        return []
+    names = sorted(shot.name for shot in read_model(model)[1])
+    found = [find_image(folder, name, str(model)) for name in names]
+    check_distinct(zip(names, found, strict=True), str(model))
+    return [path for path in found if path is not None] if len(names) == count else []
 
 
 def read_table(path: Path) -> NDArray[Any]:

@@ -18,7 +18,7 @@ from ...errors import SnergError
 from ...geometry.box import Box
 from ...geometry.camera import Camera, focal_from_angle
 from ...geometry.distortion import MODELS, Distortion
-from ...io.files import json_bytes, read_json, write_bytes
+from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
@@ -102,7 +102,7 @@ def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
 
 def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """(the JSON object in a transforms file, its frames). Raises SnergError when it has no frames or one is not an object."""
-    value = read_json(file)
+    value = read_edited_json(file)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
         raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
