@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .data.dataset import Dataset
-from .data.load import read_dataset
+from .data.load import check_unpacked, read_dataset
 from .data.readers import colmap, llff, transforms
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
@@ -31,6 +31,7 @@ def kind_of(path: Path) -> str:
     """
     if not path.exists():
         raise SnergError(f"{path} does not exist; check the path.")
+    check_unpacked(path)
     if path.is_dir() and is_scene(path):
         return "scene"
     if (path.is_dir() and is_field(path)) or path.suffix == ".npz":

@@ -27,6 +27,7 @@ class View:
     mask: Path | None = None  # an image whose black pixels are excluded from training, or its white ones with mask_hides
     mask_hides: bool = False  # for dynamic masks of instant-ngp
     factor: int = 1  # image pixels along a side that are averaged to one pixel of the camera
+    upright: bool = False  # whether the image is turned by its EXIF orientation
     image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
 
 
@@ -74,7 +75,7 @@ class Dataset:
         Raises SnergError when it cannot be read, or is not as large as when the dataset was read.
         """
         view = self.views[index]
-        pixels = reduced(read_image(view.image), view.factor)
+        pixels = reduced(read_image(view.image, upright=True) if view.upright else read_image(view.image), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels

@@ -13,6 +13,7 @@ from typing import Any
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
+from ..io.images import lies_down, read_size
 from ..io.paths import inside
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif")  # in this order where one stem has several
@@ -30,13 +31,13 @@ def find_image(root: Path, name: str, where: str) -> Path | None:
     name = name.replace("\\", "/")
     outside: SnergError | None = None
     try:
-        if (found := _below(root, name, where)) is not None:
+        if (found := find_below(root, name, where)) is not None:
             return found
     except SnergError as error:
         outside = error
     parts = [part for part in name.split("/") if part not in ("", ".")]
     for start in range(1, len(parts)):
-        if ".." not in parts[start:] and (found := _below(root, "/".join(parts[start:]), where)) is not None:
+        if ".." not in parts[start:] and (found := find_below(root, "/".join(parts[start:]), where)) is not None:
             return found
     if outside is not None:
         raise outside
@@ -59,7 +60,7 @@ def plain(name: str) -> str:
     return unicodedata.normalize("NFC", name.replace("\\", "/").removeprefix("./")).casefold()
 
 
-def _below(root: Path, name: str, where: str) -> Path | None:
+def find_below(root: Path, name: str, where: str) -> Path | None:
     """The file `name` below `root`, exactly or as it is compared, with any of SUFFIXES. Raises SnergError when it leads out of `root`."""
     for suffix in ("", *SUFFIXES):
         candidate = inside(root, name + suffix, where)
@@ -96,6 +97,23 @@ def _names(folder: Path, _changed: int) -> dict[str, list[str]]:
     return found
 
 
+def size_for(image: Path, given: tuple[float, float]) -> tuple[tuple[int, int], bool]:
+    """((width, height) of an image in pixels, whether it is to be turned by its EXIF orientation) for a camera of `given` size.
+
+    It is turned only where it then has the camera's proportion and else has not.
+    """
+    width, height = read_size(image)
+    if fits((width, height), given) or not fits((height, width), given) or not lies_down(image):
+        return (width, height), False
+    return (height, width), True
+
+
+def fits(size: tuple[int, int], given: tuple[float, float]) -> bool:
+    """Whether an image of `size` (width, height) has the proportion of `given` (width, height), by 2 % or 1.5 pixels."""
+    (width, height), (w, h) = size, given
+    return w > 0 and abs(width / w * h - height) <= max(0.02 * height, 1.5)
+
+
 def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **camera: Any) -> Camera:
     """The camera of an image of `size` (width, height) pixels, from intrinsics for the same image at `given` (width, height).
 
@@ -105,7 +123,7 @@ def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **c
     (width, height), (w, h) = size, given
     if not (math.isfinite(w) and math.isfinite(h) and w > 0 and h > 0):
         raise SnergError(f"{where} says that its image is {w:g} x {h:g} pixels; both must be above 0.")
-    if abs(width / w * h - height) > max(0.02 * height, 1.5):
+    if not fits(size, given):
         raise SnergError(
             f"{where} is for {w:g} x {h:g} pixels, but its image has {width} x {height}; it was turned or cropped since: use the original."
         )

@@ -19,11 +19,10 @@ from ...errors import SnergError
 from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
-from ...io.images import read_size
 from ...io.paths import inside
 from ...io.schema import FAR
 from ..dataset import DatasetOptions, Source, View
-from ..image_resolver import check_distinct, find_image, has_image_folder, image_folder, scaled_to
+from ..image_resolver import check_distinct, find_below, find_image, has_image_folder, image_folder, scaled_to, size_for
 
 MODELS = {  # COLMAP's model id: (name, number of parameters)
     0: ("SIMPLE_PINHOLE", 3),
@@ -334,9 +333,11 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
     pose = np.eye(4)
     pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
     pose[:3, 3] = -rotation.T @ translation
+    given = float(lens.width), float(lens.height)
+    size, upright = size_for(image, given)
     camera: Camera = scaled_to(
-        read_size(image),
-        (float(lens.width), float(lens.height)),
+        size,
+        given,
         f"{folder}, image {shot.name},",
         focal=lens.focal,
         centre=lens.centre,
@@ -344,8 +345,16 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
         name=Path(shot.name).stem,
         distortion=lens.distortion,
     )
-    mask = inside(root, f"masks/{shot.name}.png", str(folder))
-    return View(camera, image, mask if mask.is_file() else None)
+    return View(camera, image, _mask(root, shot.name, str(folder)), upright=upright)
+
+
+def _mask(root: Path, name: str, where: str) -> Path | None:
+    """The mask of the image `name`: COLMAP's masks/<name>.png, else masks/<name> with any suffix, or the same in mask/; None without."""
+    for folder in ("masks", "mask"):
+        for mask in (f"{folder}/{name}.png", f"{folder}/{name}"):
+            if (found := find_below(root, mask, where)) is not None:
+                return found
+    return None
 
 
 def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
