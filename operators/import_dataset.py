@@ -45,7 +45,9 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         add_dataset(parts, scene, result["path"].stem)
         scene.snerg.dataset = blend_path(result["path"])
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
-        return " ".join([f"Imported {views} from {result['path']}.", *limitations([v.camera for p in parts for v in p.views])])
+        return " ".join(
+            [f"Imported {views} from {result['path']}.", *parts[0].remarks(), *limitations([v.camera for p in parts for v in p.views])]
+        )
 
 
 def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> list[Dataset]:

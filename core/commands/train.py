@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..artifact import Result
-from ..data.dataset import Dataset, DatasetOptions
+from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
 from ..io.files import folder_bytes
@@ -55,7 +55,7 @@ def train_field(
         from ..training.trainer import train, writes
     with one_writer(out, "a training") if writes() else nullcontext():
         views = read_dataset(dataset, "train", options)
-        for note in notes_of(views):
+        for note in views.remarks():
             progress(0.0, Note(note))
         folder, state = training_folder(out, settings, views)
         if folder != out and state != FINISHED:
@@ -64,12 +64,6 @@ def train_field(
         if folder != out and writes():
             finish(folder, out)
         return _trained(out, field, len(views.views), resumed=state != NEW)
-
-
-def notes_of(dataset: Dataset) -> list[str]:
-    """The sentences that say what the reader of a dataset passed over or repaired."""
-    skipped = dataset.skipped_frames
-    return [*dataset.notes, *([f"{skipped} frames of {dataset.root} have no image; they are left out."] if skipped else [])]
 
 
 def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:

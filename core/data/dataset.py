@@ -69,6 +69,11 @@ class Dataset:
         """The views' cameras, in order."""
         return tuple(view.camera for view in self.views)
 
+    def remarks(self) -> list[str]:
+        """The sentences that say what the reader passed over or repaired: `notes`, and the frames without an image."""
+        skipped = [f"{self.skipped_frames} frames of {self.root} have no image; they are left out."] if self.skipped_frames else []
+        return [*self.notes, *skipped]
+
     def read(self, index: int) -> NDArray[Any]:
         """The image of view `index`, uint8 [H, W, 3 or 4], sRGB with straight alpha.
 

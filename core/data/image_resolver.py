@@ -17,6 +17,8 @@ from ..io.images import lies_down, read_size
 from ..io.paths import inside
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif")  # in this order where one stem has several
+ABSOLUTE = re.compile(r"/|[a-zA-Z]:/")  # how an absolute path begins, of this machine or another
+SPLIT_FOLDERS = ("train", "val", "test")  # whose pictures have the same names
 FOLDERS = ("input", "image", "imgs", "photos", "rgb")  # where tools keep photographs beside a folder 'images', in this order
 
 
@@ -24,9 +26,9 @@ def find_image(root: Path, name: str, where: str) -> Path | None:
     """The path of the image `name`, which is relative to `root`; None when there is no such file.
 
     The first that exists is taken: a file of exactly that name; with one of SUFFIXES appended; the same ignoring letter case and the
-    Unicode normal form; with another of SUFFIXES. Where there is none, the beginning of the path is dropped folder by folder, since the
-    file may name a folder of another machine. Raises SnergError, which begins with `where`, when the path leads out of `root` and its
-    end is not in `root` either: a dataset must not read other files (hard case 62).
+    Unicode normal form; with another of SUFFIXES; an end of the path, which may name a folder of another machine (see `_tails`).
+    Raises SnergError, which begins with `where`, when the path leads out of `root` and no end of it is in `root` either: a dataset
+    must not read other files (hard case 62).
     """
     name = name.replace("\\", "/")
     outside: SnergError | None = None
@@ -35,13 +37,29 @@ def find_image(root: Path, name: str, where: str) -> Path | None:
             return found
     except SnergError as error:
         outside = error
-    parts = [part for part in name.split("/") if part not in ("", ".")]
-    for start in range(1, len(parts)):
-        if ".." not in parts[start:] and (found := find_below(root, "/".join(parts[start:]), where)) is not None:
+    for base, rest in _tails(root, name, outside is not None or bool(ABSOLUTE.match(name))):
+        if (found := find_below(base, rest, where)) is not None:
             return found
     if outside is not None:
         raise outside
     return None
+
+
+def _tails(root: Path, name: str, elsewhere: bool) -> Iterator[tuple[Path, str]]:
+    """(folder, path below it) for each end of the path `name`, the longest first. elsewhere: whether it names a place outside `root`.
+
+    A path of the folder itself keeps a folder, or drops the name of `root`: test/000.png must not become 000.png of another split.
+    """
+    parts = [part for part in name.split("/") if part not in ("", ".")]
+    bases = [root, *(path for _, path in sorted(_folders(root, str(root)))), *(root / folder for folder in FOLDERS)]
+    for start in range(len(parts)):
+        kept, dropped = parts[start:], plain(parts[start - 1]) if start else ""
+        if ".." in kept or dropped in SPLIT_FOLDERS:
+            continue
+        if len(parts) == 1 or elsewhere:
+            yield from ((base, "/".join(kept)) for base in bases)
+        elif start and (len(kept) > 1 or dropped == plain(root.name)):
+            yield root, "/".join(kept)
 
 
 def check_distinct(named: Iterable[tuple[str, Path | None]], where: str) -> None:
@@ -74,7 +92,7 @@ def find_below(root: Path, name: str, where: str) -> Path | None:
     there_by_name = _listing(folder)
     stem = PurePosixPath(last).stem if re.fullmatch(r"\.[A-Za-z]\w{1,4}", PurePosixPath(last).suffix) else last
     for candidate_name in (last, *(last + s for s in SUFFIXES), *(stem + s for s in SUFFIXES)):
-        for real in there_by_name.get(plain(candidate_name), []):
+        for real in sorted(there_by_name.get(plain(candidate_name), []), key=lambda name: name != candidate_name):
             candidate = inside(root, str(folder / real), where)
             if candidate.is_file():
                 return candidate

@@ -409,8 +409,10 @@ def _image_count(folder: Path) -> int:
     """How many images a model has; 0 where its file is missing."""
     binary, text = folder / "images.bin", folder / "images.txt"
     if (folder / "cameras.bin").is_file():
-        with reading(binary, "export the model again"):
-            return int(struct.unpack("<Q", binary.open("rb").read(8))[0]) if binary.is_file() else 0
+        if not binary.is_file():
+            return 0
+        with reading(binary, "export the model again"), open(binary, "rb") as file:
+            return int(struct.unpack("<Q", file.read(8))[0])
     with reading(text, "export the model again"):
         return sum(1 for _ in _shot_lines(text)) if text.is_file() else 0
 

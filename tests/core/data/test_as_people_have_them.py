@@ -63,14 +63,15 @@ def test_the_exact_name_comes_first_and_other_names_are_not_taken(tmp_path):
         (tmp_path / name).write_bytes(b"x")
     assert find_image(tmp_path, "A.png", "here") == tmp_path / "A.png" and find_image(tmp_path, "a.jpg", "here") == tmp_path / "a.png"
     assert find_image(tmp_path, "c.png", "here") is None
+    assert find_image(tmp_path, "test/b.png", "here") is None  # the picture of another split
     with pytest.raises(SnergError, match="outside"):
         find_image(tmp_path, "../c.png", "here")
 
 
 def test_one_picture_is_not_two_views(tmp_path):
     write_nerfstudio(tmp_path, ring(8))
-    edit(tmp_path, lambda v: [f.update(file_path=f"cam{i}/000.png") for i, f in enumerate(v["frames"])])
-    with pytest.raises(SnergError, match="cam0/000.png and cam1/000.png"):
+    edit(tmp_path, lambda v: [f.update(file_path=f"/scan/cam{i}/000.png") for i, f in enumerate(v["frames"])])
+    with pytest.raises(SnergError, match=r"cam0/000\.png and /scan/cam1/000\.png"):
         read_dataset(tmp_path, options=ALL)
 
 
