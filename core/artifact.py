@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from .data.dataset import Dataset
-from .data.load import check_unpacked, read_dataset
+from .data.load import read_dataset
 from .data.readers import colmap, llff, transforms
+from .data.readers.others import check_supported
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
 from .export.scene_files import is_scene, read_scene
@@ -31,7 +32,6 @@ def kind_of(path: Path) -> str:
     """
     if not path.exists():
         raise SnergError(f"{path} does not exist; check the path.")
-    check_unpacked(path)
     if path.is_dir() and is_scene(path):
         return "scene"
     if (path.is_dir() and is_field(path)) or path.suffix == ".npz":
@@ -42,6 +42,9 @@ def kind_of(path: Path) -> str:
         return "page"
     if is_dataset(path):
         return "dataset"
+    if path.is_dir() and find_checkpoint(path) is not None:
+        return "checkpoint"
+    check_supported(path)
     if find_checkpoint(path) is not None:
         return "checkpoint"
     raise SnergError(f"{path} is no dataset, field, checkpoint or baked scene.")

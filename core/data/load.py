@@ -15,8 +15,8 @@ from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
 from .orient import orient
 from .readers import colmap, llff, transforms
+from .readers.others import check_supported
 
-ARCHIVES = (".zip", ".7z", ".rar", ".tar", ".gz", ".tgz")
 DEFAULT_OPTIONS = DatasetOptions()
 
 
@@ -82,22 +82,16 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
     """
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
-    check_unpacked(path)
     if transforms.is_transforms(path):
         return transforms.read_transforms(path, split, options)
     if llff.is_llff(path):
         return llff.read_llff(path, options)
     if colmap.is_colmap(path):
         return colmap.read_colmap(path, options)
+    check_supported(path)
     raise SnergError(
         f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
     )
-
-
-def check_unpacked(path: Path) -> None:
-    """Raise SnergError when the path is an archive, as BlenderNeRF leaves its dataset."""
-    if path.is_file() and path.suffix.lower() in ARCHIVES:
-        raise SnergError(f"{path} is an archive; unpack it and give the folder that comes out.")
 
 
 def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:

@@ -359,7 +359,8 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
 
 
 def read_cameras(path: str | os.PathLike[str], size: tuple[int | None, int | None] = (None, None)) -> tuple[Camera, ...]:
-    """Read only the cameras of a transforms file or of nerfstudio's camera path, to render from them.
+    """Read only the cameras of a transforms file or of nerfstudio's camera path, or Gaussian splatting's cameras.json,
+    to render from them.
 
     Where the file gives w and h, the images need not exist. size: (width, height) in pixels of a camera that has neither a size nor an
     image, None where not known; ignored for others. Raises SnergError when the file has no frames, or a camera has no size at all.
@@ -368,6 +369,8 @@ def read_cameras(path: str | os.PathLike[str], size: tuple[int | None, int | Non
         value = read_edited_json(Path(path))
         if isinstance(value, dict) and "camera_path" in value:
             return read_camera_path(value, str(path))
+        if isinstance(value, list):
+            return read_splat_cameras(value, str(path))
         return _read_cameras(Path(path), size)
 
 
@@ -418,4 +421,26 @@ def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
         except (KeyError, TypeError, ValueError) as error:
             raise SnergError(f"{here} lacks camera_to_world (16 numbers) or fov (degrees); export the path again.") from error
         cameras.append(Camera(width, height, (focal, focal), (width / 2, height / 2), pose, name=f"{index:05d}"))
+    return tuple(cameras)
+
+
+def read_splat_cameras(value: list[Any], where: str) -> tuple[Camera, ...]:
+    """The cameras of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
+
+    Raises SnergError, which begins with `where`, when there is none or one is incomplete.
+    """
+    cameras = []
+    for index, item in enumerate(value):
+        here = f"{where}, camera {index}"
+        try:
+            pose = np.eye(4)
+            pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
+            pose[:3, 3] = np.array(item["position"], np.float64)
+            width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
+            name = Path(str(item.get("img_name", f"{index:05d}"))).stem
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            raise SnergError(f"{here} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
+        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, name=name))
+    if not cameras:
+        raise SnergError(f"{where} has no cameras; export it again.")
     return tuple(cameras)

@@ -236,3 +236,37 @@ def test_a_model_that_says_more_images_than_it_has(tmp_path):
     (tmp_path / "sparse" / "1" / "images.bin").write_bytes(struct.pack("<I", 1))
     with pytest.raises(SnergError, match=r"images\.bin.*damaged"):
         read_dataset(tmp_path, options=ALL)
+
+
+def test_the_cameras_of_gaussian_splatting(tmp_path):
+    camera = ring(3)[1]
+    axes = camera.camera_to_world[:3, :3] * [1, -1, -1]
+    value = {"id": 0, "img_name": "a.png", "width": 24, "height": 18, "position": camera.position.tolist(), "rotation": axes.tolist()}
+    file = tmp_path / "cameras.json"
+    file.write_text(json.dumps([{**value, "fx": 26.0, "fy": 27.0}]))
+    (found,) = read_cameras(file)
+    assert np.allclose(found.camera_to_world, camera.camera_to_world) and found.focal == (26, 27) and found.name == "a"
+    for bad in ([value], [], [3]):
+        file.write_text(json.dumps(bad))
+        with pytest.raises(SnergError, match=r"cameras\.json.*export it again"):
+            read_cameras(file)
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "says"),
+    [
+        ("keyframes/cameras/1.json", "{}", "Polycam.*polycam"),
+        ("EXR_RGBD/metadata.json", "{}", "Record3D.*record3d"),
+        ("cameras.xml", '<document version="1.2.0"><chunk label="a">', "Metashape.*COLMAP"),
+        ("cameras.csv", "#name,x,y,alt,heading,pitch,roll,f", "RealityCapture.*COLMAP"),
+        ("scan.psx", "", "Metashape"),
+        ("database.db", "", "mapper"),
+        ("reconstruction.json", "[]", "OpenSfM"),
+    ],
+)
+def test_a_capture_of_another_tool_is_refused_by_name(tmp_path, file, content, says):
+    (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / file).write_text(content)
+    for read in (kind_of, read_dataset):
+        with pytest.raises(SnergError, match=says):
+            read(tmp_path)
