@@ -21,7 +21,7 @@ from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
 from ...io.paths import inside
 from ...io.schema import FAR
-from ..dataset import DatasetOptions, Source, View
+from ..dataset import DatasetOptions, Source, UnsupportedLens, View
 from ..image_resolver import check_distinct, find_below, find_image, has_image_folder, image_folder, scaled_to, size_for
 
 MODELS = {  # COLMAP's model id: (name, number of parameters)
@@ -82,6 +82,9 @@ class Points:
     colours: NDArray[Any]  # [N, 3] uint8, sRGB
 
 
+Lenses = dict[int, Lens | UnsupportedLens]  # a model's cameras by id; of one with a lens that is not supported, the error that says so
+
+
 def is_colmap(path: Path) -> bool:
     """Whether the path is a folder that holds a COLMAP model, in one of FOLDERS."""
     return path.is_dir() and bool(find_models(path))
@@ -100,10 +103,10 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
     if folder is None:
         raise SnergError(f"{path} has no COLMAP model (cameras.bin and images.bin, or .txt); check the path.")
     root = _root(path, folder)
-    lenses, shots, points = read_model(folder)
+    found_lenses, shots, points = read_model(folder)
     if not shots:
         raise SnergError(f"The COLMAP model {folder} has no images; a dataset needs images with their cameras.")
-    shots.sort(key=lambda shot: shot.name)
+    shots, lenses, notes = _with_lenses(sorted(shots, key=lambda shot: shot.name), found_lenses)
     pictures, factor = image_folder(root, options.downscale, f"The COLMAP model {folder}")
     found = [find_image(pictures, shot.name, str(folder)) for shot in shots]
     check_distinct(((shot.name, image) for shot, image in zip(shots, found, strict=True)), str(folder))
@@ -113,7 +116,7 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
             f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
         )
     views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
-    source = Source(root, "colmap", views, photographs=True, factor=factor, notes=(said,) if said else ())
+    source = Source(root, "colmap", views, photographs=True, factor=factor, notes=((said,) if said else ()) + notes)
     if not len(points.points):
         return source
     return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
@@ -122,7 +125,7 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
 T = TypeVar("T")
 
 
-def read_model(folder: Path) -> tuple[dict[int, Lens], list[Shot], Points]:
+def read_model(folder: Path) -> tuple[Lenses, list[Shot], Points]:
     """Read a model's files: (cameras by id, images in the order of the file, 3D points).
 
     The binary files are read where there are both. Without a points3D file there are no points.
@@ -156,7 +159,9 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
     Raises SnergError, which begins with `where`, when the lens model is not supported or has another number of parameters.
     """
     if model not in COUNTS or model in OTHERS:
-        raise SnergError(f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first.")
+        raise UnsupportedLens(
+            f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first."
+        )
     if len(values) != COUNTS[model]:
         raise SnergError(f"{where} gives {len(values)} parameters for the lens model {model}, which has {COUNTS[model]}.")
     if model in ONE_FOCAL:
@@ -168,6 +173,35 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
     elif any(bent):
         distortion = Distortion("opencv", tuple(bent))
     return Lens(width, height, (fx, fy), (cx, cy), distortion)
+
+
+def _lens_or_error(model: str, width: int, height: int, values: list[float], where: str) -> Lens | UnsupportedLens:
+    """As `lens_of`, but a known model that is not supported is returned as its error, since other images may have other lenses."""
+    try:
+        return lens_of(model, width, height, values, where)
+    except UnsupportedLens as error:
+        if model not in COUNTS:
+            raise
+        return error
+
+
+def _with_lenses(shots: list[Shot], lenses: Lenses) -> tuple[list[Shot], dict[int, Lens], tuple[str, ...]]:
+    """(the images whose lens is supported, the supported lenses, a note for each other lens that images have).
+
+    Raises UnsupportedLens when no image is left.
+    """
+    supported = {number: lens for number, lens in lenses.items() if isinstance(lens, Lens)}
+    kept = [shot for shot in shots if shot.lens in supported]
+    refused = {shot.lens for shot in shots} - set(supported)
+    notes = []
+    for number in sorted(refused):
+        error = lenses[number]
+        if isinstance(error, UnsupportedLens):
+            if not kept:
+                raise error
+            count = sum(shot.lens == number for shot in shots)
+            notes.append(f"{str(error).removesuffix('.')}; its {count} images are left out.")
+    return kept, supported, tuple(notes)
 
 
 class Bytes:
@@ -206,14 +240,14 @@ class Bytes:
         return found
 
 
-def binary_lenses(path: Path) -> dict[int, Lens]:
+def binary_lenses(path: Path) -> Lenses:
     """Read cameras.bin: lenses by camera id. Raises SnergError as `lens_of`."""
     file = Bytes(path)
-    lenses = {}
+    lenses: Lenses = {}
     for _ in range(file.count(24)):
         number, model, width, height = file.take("IiQQ")
         name, count = MODELS.get(model, (f"number {model}", 0))
-        lenses[number] = lens_of(name, width, height, list(file.take(f"{count}d")), f"{path}, camera {number},")
+        lenses[number] = _lens_or_error(name, width, height, list(file.take(f"{count}d")), f"{path}, camera {number},")
     return lenses
 
 
@@ -265,14 +299,14 @@ def _shot_lines(path: Path) -> Iterator[tuple[str, str]]:
             yield line, next(lines, "")
 
 
-def text_lenses(path: Path) -> dict[int, Lens]:
+def text_lenses(path: Path) -> Lenses:
     """Read cameras.txt: lenses by camera id. Raises SnergError as `lens_of`."""
-    lenses = {}
+    lenses: Lenses = {}
     for line in _lines(path):
         if line.strip():
             number, model, width, height, *values = _values(line)
             where = f"{path}, camera {number},"
-            lenses[int(number)] = lens_of(model, int(width), int(height), [float(v) for v in values], where)
+            lenses[int(number)] = _lens_or_error(model, int(width), int(height), [float(v) for v in values], where)
     return lenses
 
 

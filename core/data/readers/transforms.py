@@ -22,7 +22,7 @@ from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, View
+from ..dataset import DatasetOptions, Source, UnsupportedLens, View
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
 from .ply import read_ply
 
@@ -104,10 +104,6 @@ def read_frames_with_lenses(file: Path, value: dict[str, Any], frames: list[dict
         raise refused[0]
     check_distinct(((f["file_path"], v.image) for f, v in zip(frames, views, strict=True) if v is not None), str(file))
     return views, tuple(f"{str(error).removesuffix('.')}; this image is left out." for error in refused)
-
-
-class UnsupportedLens(SnergError):
-    """One camera has a lens that is not supported; the others of its dataset can still be read."""
 
 
 def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:

@@ -270,3 +270,20 @@ def test_a_capture_of_another_tool_is_refused_by_name(tmp_path, file, content, s
     for read in (kind_of, read_dataset):
         with pytest.raises(SnergError, match=says):
             read(tmp_path)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_one_lens_of_a_model_is_left_out_and_named(tmp_path, binary):
+    sparse = colmap(tmp_path, binary=binary) / "sparse" / "0"
+    if binary:
+        cameras, images = (sparse / "cameras.bin").read_bytes(), (sparse / "images.bin").read_bytes()
+        fov = struct.pack("<IiQQ5d", 9, 7, 24, 18, 26, 26, 12, 9, 0.5)
+        (sparse / "cameras.bin").write_bytes(struct.pack("<Q", 2) + cameras[8:] + fov)
+        (sparse / "images.bin").write_bytes(images.replace(struct.pack("<I", 7) + b"003.png", struct.pack("<I", 9) + b"003.png"))
+    else:
+        with open(sparse / "cameras.txt", "a") as file:
+            file.write("9 FOV 24 18 26 26 12 9 0.5\n")
+        (sparse / "images.txt").write_text((sparse / "images.txt").read_text().replace("7 003.png", "9 003.png"))
+    dataset = read_dataset(tmp_path, options=ALL)
+    assert len(dataset.views) == 7 and "003" not in [c.name for c in dataset.cameras]
+    assert "camera 9" in dataset.notes[0] and "FOV" in dataset.notes[0] and "1 images" in dataset.notes[0]
