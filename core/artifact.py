@@ -10,6 +10,7 @@ from typing import Any
 from .data.dataset import Dataset
 from .data.load import read_dataset
 from .data.readers import colmap, llff, transforms
+from .data.readers.others import check_supported
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
 from .export.scene_files import is_scene, read_scene
@@ -71,7 +72,10 @@ def kind_of(path: Path) -> str:
         return "page"
     if is_dataset(path):
         return "dataset"
-    if find_checkpoint(path) is not None or is_orbax(path):
+    if path.is_dir() and (find_checkpoint(path) is not None or is_orbax(path)):
+        return "checkpoint"
+    check_supported(path)
+    if find_checkpoint(path) is not None:
         return "checkpoint"
     raise SnergError(f"{path} is no dataset, field, checkpoint or baked scene.")
 

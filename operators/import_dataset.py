@@ -53,7 +53,7 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
-        return " ".join([f"Imported {views} from {result['path']}.", *alone, *limitations(every)])
+        return " ".join([f"Imported {views} from {result['path']}.", *parts[0].remarks(), *alone, *limitations(every)])
 
 
 def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict[str, Any]:

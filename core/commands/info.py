@@ -81,6 +81,7 @@ def _dataset_info(path: Path) -> Result:
         "forward_facing": decision.chosen,
         "evidence": decision.evidence,
         "without_image": train.skipped_frames,
+        "notes": train.remarks(),
     }
 
 

@@ -40,7 +40,7 @@ def render_views(
     bad input, Cancelled when `progress` does; then `out` is as it was.
     """
     check_out(out, "pictures", scene, cameras)
-    views = [resized(camera, width, height) for camera in read_cameras(cameras)]
+    views = [resized(camera, width, height) for camera in read_cameras(cameras, (width, height))]
     snerg = ready_scene(scene, settings)
     names = file_names([camera.name for camera in views])
     began = time.perf_counter()

@@ -58,6 +58,8 @@ def train_field(
         from ..training.trainer import train, writes
     with one_writer(out, "a training") if writes() else nullcontext():
         views = read_dataset(dataset, "train", options)
+        for note in views.remarks():
+            progress(0.0, Note(note))
         folder, state = training_folder(out, settings, views)
         if folder != out and state != FINISHED:
             progress(0.0, Note(f"{out} holds another field, which stays as it is until this training is finished."))

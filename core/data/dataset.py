@@ -20,6 +20,10 @@ from .depth import DepthFile, read_depth, read_pass
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
 
+class UnsupportedLens(SnergError):
+    """One camera has a lens that is not supported; the others of its dataset can still be read."""
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """One image, photographed or rendered, and the camera that took it."""
@@ -29,6 +33,7 @@ class View:
     mask: Path | None = None  # an image whose black pixels are excluded from training, or its white ones with mask_hides
     mask_hides: bool = False  # for dynamic masks of instant-ngp
     factor: int = 1  # image pixels along a side that are averaged to one pixel of the camera
+    upright: bool = False  # whether the image is turned by its EXIF orientation
     image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
     depth: DepthFile | None = None  # the depth image that the source names
     passes: Mapping[str, Path] = field(default_factory=dict)  # other passes of a renderer by name: 'normal', 'diffuse', 'glossy'
@@ -64,6 +69,7 @@ class Dataset:
     kind: str = "transforms"  # or 'llff' or 'colmap'
     split_names: tuple[str, ...] = ()  # of all splits of the capture
     skipped_frames: int = 0  # frames of the source that have no image
+    notes: tuple[str, ...] = ()  # sentences that say what the reader passed over or repaired
     source: Source | None = None  # what the reader found, for other splits; None if the dataset was not read from files
 
     @property
@@ -71,13 +77,18 @@ class Dataset:
         """The views' cameras, in order."""
         return tuple(view.camera for view in self.views)
 
+    def remarks(self) -> list[str]:
+        """The sentences that say what the reader passed over or repaired: `notes`, and the frames without an image."""
+        skipped = [f"{self.skipped_frames} frames of {self.root} have no image; they are left out."] if self.skipped_frames else []
+        return [*self.notes, *skipped]
+
     def read(self, index: int) -> NDArray[Any]:
         """The image of view `index`, uint8 [H, W, 3 or 4], sRGB with straight alpha.
 
         Raises SnergError when it cannot be read, or is not as large as when the dataset was read.
         """
         view = self.views[index]
-        pixels = reduced(read_image(view.image), view.factor)
+        pixels = reduced(read_image(view.image, upright=True) if view.upright else read_image(view.image), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels
@@ -152,6 +163,7 @@ class Source:
     half_extent: float | None = None  # half the side of the cube around the origin that the scene fills; None if not given
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
+    notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:

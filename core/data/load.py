@@ -15,6 +15,7 @@ from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
 from .orient import orient
 from .readers import colmap, llff, transforms
+from .readers.others import check_supported
 
 DEFAULT_OPTIONS = DatasetOptions()
 
@@ -63,6 +64,7 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
         kind=source.kind,
         split_names=names,
         skipped_frames=source.skipped_frames,
+        notes=source.notes,
         source=source,
     )
 
@@ -86,6 +88,7 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
         return llff.read_llff(path, options)
     if colmap.is_colmap(path):
         return colmap.read_colmap(path, options)
+    check_supported(path)
     raise SnergError(
         f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
     )

@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError
 
-MODELS = {"opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), "fisheye": ("k1", "k2", "k3", "k4")}
+MODELS = {
+    "opencv": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "fisheye": ("k1", "k2", "k3", "k4"),
+    "nerfstudio": ("k1", "k2", "k3", "k4", "p1", "p2"),
+}
 MAX_ANGLE = 89.9  # degrees from the optical axis up to which a lens is valid: x / depth is infinite at 90
 TABLE_SIZE = 1024  # entries of the table of initial guesses
 MAX_TABLE_RADIUS = 4.0  # distorted radius that the table covers at most
@@ -29,8 +33,9 @@ CHUNK = 2**16  # points undistorted at a time, which bounds the memory for a who
 class Distortion:
     """The distortion of a lens.
 
-    'opencv': radial (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and tangential with p1, p2. 'fisheye': the angle
-    theta from the axis becomes theta (1 + k1 theta^2 + k2 theta^4 + ...), Kannala and Brandt 2006.
+    'opencv': radial (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6), and tangential with p1, p2. 'nerfstudio': the same
+    with the radial factor 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, as in nerfstudio and Metashape. 'fisheye': the angle theta from the axis
+    becomes theta (1 + k1 theta^2 + k2 theta^4 + ...), Kannala and Brandt 2006.
 
     A polynomial that was fitted inside an image may fold over outside it: beyond some ideal radius, its limit, the distorted radius
     decreases. Beyond the limit the lens is continued linearly, so that every pixel has one finite ray, and points outside the image
@@ -38,8 +43,8 @@ class Distortion:
     Raises SnergError for another model, too many coefficients, or one that is not finite.
     """
 
-    model: str  # 'opencv' or 'fisheye'
-    coefficients: tuple[float, ...] = ()  # k1, k2, p1, p2, k3, k4, k5, k6, or k1..k4 of a fisheye; missing ones are 0
+    model: str  # one of MODELS
+    coefficients: tuple[float, ...] = ()  # in the order of MODELS; missing ones are 0
 
     def __post_init__(self) -> None:
         if self.model not in MODELS:
@@ -85,8 +90,8 @@ class Lenses:
 
     def __init__(self, lenses: Sequence[Distortion]) -> None:
         self.fisheye = np.array([lens.model == "fisheye" for lens in lenses])
-        self.coefficients = np.array([lens.coefficients + (0.0,) * (8 - len(lens.coefficients)) for lens in lenses])
-        self.rational, self.tangential = bool(self.coefficients[:, 5:].any()), bool(self.coefficients[~self.fisheye, 2:4].any())
+        self.coefficients = np.array([_row(lens) for lens in lenses])
+        self.rational, self.tangential = bool(self.coefficients[:, 5:8].any()), bool(self.coefficients[~self.fisheye, 2:4].any())
         self.limit = np.array([_limit_radius(lens) for lens in lenses])  # [L] ideal radius up to which the distorted radius increases
         on_limit = np.stack([self.limit, np.zeros_like(self.limit)], axis=-1)
         distorted, _ = self._radial(self._parameters(np.arange(len(lenses))), on_limit)
@@ -148,7 +153,7 @@ class Lenses:
         return np.interp(np.linspace(0, self.table_radius[index], TABLE_SIZE), landed, ideal)
 
     def _parameters(self, lens: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Coefficients [8, N] of each point's lens, and whether it is a fisheye, bool [N]."""
+        """Coefficients [9, N] (see `_row`) of each point's lens, and whether it is a fisheye, bool [N]."""
         return self.coefficients[lens].T, self.fisheye[lens]
 
     def _distorted(self, of: tuple[NDArray[Any], NDArray[Any]], xy: NDArray[Any]) -> tuple[NDArray[Any], tuple[NDArray[Any], ...]]:
@@ -179,16 +184,24 @@ class Lenses:
         return xy * scale[:, None], (scale + slope * x * x, slope * x * y, scale + slope * y * y)
 
 
+def _row(lens: Distortion) -> tuple[float, ...]:
+    """A lens's coefficients as Lenses holds them: those of 'opencv', then the factor of r^8; or those of 'fisheye', filled up to 9."""
+    if lens.model == "nerfstudio":
+        k1, k2, k3, k4, p1, p2 = lens.coefficients
+        return k1, k2, p1, p2, k3, 0.0, 0.0, 0.0, k4
+    return lens.coefficients + (0.0,) * (9 - len(lens.coefficients))
+
+
 def _polynomial_scale(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Scale and (d scale / dr) / r of OpenCV's model without a denominator, coefficients [8, N], at squared radii s [N]."""
-    k1, k2, _, _, k3, *_ = k
-    return 1 + s * (k1 + s * (k2 + s * k3)), 2 * (k1 + s * (2 * k2 + s * 3 * k3))
+    """Scale and (d scale / dr) / r of OpenCV's model without a denominator, coefficients [9, N], at squared radii s [N]."""
+    k1, k2, _, _, k3, _, _, _, k8 = k
+    return 1 + s * (k1 + s * (k2 + s * (k3 + s * k8))), 2 * (k1 + s * (2 * k2 + s * (3 * k3 + s * 4 * k8)))
 
 
 def _rational_scale(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Scale and (d scale / dr) / r of OpenCV's model with the denominator, each [N]."""
     top, d_top = _polynomial_scale(k, s)
-    _, _, _, _, _, k4, k5, k6 = k
+    _, _, _, _, _, k4, k5, k6, _ = k
     below, d_below = 1 + s * (k4 + s * (k5 + s * k6)), 2 * (k4 + s * (2 * k5 + s * 3 * k6))
     below = np.where(np.abs(below) < 1e-12, 1e-12, below)
     return top / below, (d_top * below - top * d_below) / (below * below)
@@ -207,7 +220,7 @@ def _fisheye_scale(k: NDArray[Any], s: NDArray[Any]) -> tuple[NDArray[Any], NDAr
 
 def _limit_radius(lens: Distortion) -> float:
     """The ideal radius up to which the distorted radius increases: the first zero of its derivative, at most tan(MAX_ANGLE)."""
-    k = lens.coefficients
+    k = _row(lens)
     widest = math.tan(math.radians(MAX_ANGLE))
     if lens.model == "fisheye":
         rising = np.polynomial.Polynomial([1, 3 * k[0], 5 * k[1], 7 * k[2], 9 * k[3]])  # in theta squared
@@ -215,7 +228,7 @@ def _limit_radius(lens: Distortion) -> float:
         return min(math.tan(math.sqrt(first)), widest) if first < (math.pi / 2) ** 2 else widest
     top: Any  # NumPy gives methods of its polynomials no types
     below: Any
-    top, below = np.polynomial.Polynomial([1, k[0], k[1], k[4]]), np.polynomial.Polynomial([1, *k[5:]])
+    top, below = np.polynomial.Polynomial([1, k[0], k[1], k[4], k[8]]), np.polynomial.Polynomial([1, *k[5:8]])
     s = np.polynomial.Polynomial([0, 1])
     first = min(_first_zero(top * below + 2 * s * (top.deriv() * below - top * below.deriv())), _first_zero(below))
     return min(math.sqrt(first), widest)

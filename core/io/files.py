@@ -272,6 +272,25 @@ def read_json(path: Path) -> Any:
             raise SnergError(f"{path} is not valid JSON ({why(error)}); write it again.") from error
 
 
+def read_edited_json(path: Path) -> Any:
+    """As `read_json`, for files that people edit: with a byte order mark, in UTF-16, or with comments as in C (instant-ngp reads them)."""
+    check_file(path, MAX_JSON_BYTES)
+    with reading(path, "write it again"):
+        data = path.read_bytes()
+        try:
+            encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+            text = data.decode(encoding)
+            try:
+                return json.loads(text)
+            except ValueError:
+                return json.loads(COMMENT.sub(lambda match: match[1] or " ", text))
+        except (ValueError, RecursionError) as error:
+            raise SnergError(f"{path} is not valid JSON ({why(error)}); write it again.") from error
+
+
+COMMENT = re.compile(r'("(?:[^"\\]|\\.)*")|//[^\n]*|/\*.*?\*/', re.DOTALL)  # a string, which stays, or a comment
+
+
 def json_bytes(value: Any) -> bytes:
     """A value as JSON, UTF-8. Raises SnergError when it contains NaN or infinity, which JSON does not have (hard case 59)."""
     try:

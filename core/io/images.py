@@ -1,7 +1,7 @@
 """Reading and writing pictures as arrays, and the sRGB curve.
 
-Images are read as they are stored. An EXIF orientation is not applied, because COLMAP and tools that use it find poses for the stored
-pixels.
+Images are read as they are stored. An EXIF orientation is applied only where it is asked for: COLMAP and tools that use it find poses
+for the stored pixels, others turn the pictures first.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import ExifTags, Image, ImageOps
 
 from ..errors import SnergError
 from .files import write_bytes
@@ -26,6 +26,7 @@ PIXELS_PER_BYTE = 256  # pixels per byte of file that larger images may have: a 
 MAX_BYTES = 2**31  # of an image's file
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
+QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
@@ -37,8 +38,18 @@ def read_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def read_image(path: Path) -> NDArray[Any]:
+def lies_down(path: Path) -> bool:
+    """Whether an image's EXIF orientation turns it by a quarter, so that its upright width is its stored height."""
+    if path.suffix.lower() in LINEAR:
+        return False
+    with _open(path, header=True) as image, reading(path, "write it again", f"The image {path}"):
+        return image.getexif().get(ExifTags.Base.Orientation) in QUARTER_TURNS
+
+
+def read_image(path: Path, upright: bool = False) -> NDArray[Any]:
     """Read an image as uint8 [H, W, 3 or 4], sRGB, with straight alpha where the file has alpha.
+
+    upright: turn it by its EXIF orientation.
 
     16-bit channels are rounded to 8 bits. OpenEXR, which is linear with premultiplied alpha, is converted.
     Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or is OpenEXR and OpenImageIO is not installed.
@@ -46,6 +57,8 @@ def read_image(path: Path) -> NDArray[Any]:
     if path.suffix.lower() in LINEAR:
         return _Linear(path).read()
     with _open(path) as image, reading(path, "write it again", f"The image {path}"):
+        if upright:
+            ImageOps.exif_transpose(image, in_place=True)
         if image.mode in DEEP:
             return _deep(path, image)
         has_alpha = "A" in image.getbands() or "transparency" in image.info

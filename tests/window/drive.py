@@ -172,8 +172,8 @@ class Window:
         layout = Layout()
         module = import_module("bl_ext.user_default.snerg_addon.snerg_addon.panels.main")
         with bpy.context.temp_override(window=self.window):
-            if panel == "main":
-                module.SNERG_PT_main.draw(SimpleNamespace(layout=layout), bpy.context)
+            if panel in ("main", "farm"):
+                getattr(bpy.types, f"SNERG_PT_{panel}").draw(SimpleNamespace(layout=layout), bpy.context)
             else:
                 next(step for step in module.STEPS if step.key == panel).draw_body(layout, bpy.context)
         return layout.texts

@@ -5,6 +5,7 @@ Formats: https://colmap.github.io/format.html. COLMAP's cameras look along +z wi
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,11 +19,10 @@ from ...errors import SnergError
 from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
-from ...io.images import read_size
 from ...io.paths import inside
 from ...io.schema import FAR
-from ..dataset import DatasetOptions, Source, View
-from ..image_resolver import find_image, image_folder, scaled_to
+from ..dataset import DatasetOptions, Source, UnsupportedLens, View
+from ..image_resolver import check_distinct, find_below, find_image, has_image_folder, image_folder, scaled_to, size_for
 
 MODELS = {  # COLMAP's model id: (name, number of parameters)
     0: ("SIMPLE_PINHOLE", 3),
@@ -43,7 +43,10 @@ COUNTS = {name: count for name, count in MODELS.values()}
 ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 # Models that are recognised and refused.
 OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
-FOLDERS = ("sparse/0", "colmap/sparse/0", "sparse", "0", "")  # where a model may lie in a dataset's folder, tried in this order
+# Where models may lie in a dataset's folder, by the scripts of COLMAP, nerfstudio, instant-ngp and Gaussian splatting. Those of the
+# first of these folders that holds any are read; numbered models lie in folders 0, 1 ... of it.
+FOLDERS = ("sparse", "colmap/sparse", "dense/sparse", "dense/0/sparse", "colmap_text", "colmap_sparse", "distorted/sparse", "colmap", "")
+MAX_LEVELS = 2  # folders above a model's own in which its images are looked for when the path names the model itself
 MAX_BYTES = 2**32  # of a model's file
 MAX_NAME = 4096  # bytes of an image's name
 DEPTH_PERCENTILES = (0.1, 99.9)  # of the points in a view: its nearest and farthest depth, as in LLFF
@@ -79,36 +82,41 @@ class Points:
     colours: NDArray[Any]  # [N, 3] uint8, sRGB
 
 
+Lenses = dict[int, Lens | UnsupportedLens]  # a model's cameras by id; of one with a lens that is not supported, the error that says so
+
+
 def is_colmap(path: Path) -> bool:
     """Whether the path is a folder that holds a COLMAP model, in one of FOLDERS."""
-    return path.is_dir() and _model_folder(path) is not None
+    return path.is_dir() and bool(find_models(path))
 
 
 def read_colmap(path: Path, options: DatasetOptions) -> Source:
     """Read a COLMAP model and find its images. The result has views sorted by name and, where the model has 3D points, the points
     [N, 3], their colours [N, 3] uint8 and the depth bounds [V, 2] of the views, all in units of the model.
 
-    path: the dataset's folder, with the model in one of FOLDERS and the images in images or images_<n>; or the model's own folder,
-    with the images beside it or up to two folders above. Masks are masks/<image name>.png, as COLMAP reads them.
+    path: the dataset's folder, with the model in one of FOLDERS and the images in images, images_<n> or input; or the model's own
+    folder, with the images beside it or up to two folders above. Of several models the one with the most images is read, and said.
+    Masks are masks/<image name>.png, as COLMAP reads them.
     Raises SnergError when a file is damaged, a lens model is not supported or an image is missing.
     """
-    folder = _model_folder(path)
+    folder, said = largest_model(path)
     if folder is None:
         raise SnergError(f"{path} has no COLMAP model (cameras.bin and images.bin, or .txt); check the path.")
-    root = _root(path)
-    lenses, shots, points = read_model(folder)
+    root = _root(path, folder)
+    found_lenses, shots, points = read_model(folder)
     if not shots:
         raise SnergError(f"The COLMAP model {folder} has no images; a dataset needs images with their cameras.")
-    shots.sort(key=lambda shot: shot.name)
+    shots, lenses, notes = _with_lenses(sorted(shots, key=lambda shot: shot.name), found_lenses)
     pictures, factor = image_folder(root, options.downscale, f"The COLMAP model {folder}")
-    found = [find_image(pictures, shot.name, str(folder)) or _with_other_suffix(pictures, shot.name, folder) for shot in shots]
+    found = [find_image(pictures, shot.name, str(folder)) for shot in shots]
+    check_distinct(((shot.name, image) for shot, image in zip(shots, found, strict=True)), str(folder))
     missing = [shot.name for shot, image in zip(shots, found, strict=True) if image is None]
     if missing:
         raise SnergError(
             f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
         )
     views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
-    source = Source(root, "colmap", views, photographs=True, factor=factor)
+    source = Source(root, "colmap", views, photographs=True, factor=factor, notes=((said,) if said else ()) + notes)
     if not len(points.points):
         return source
     return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
@@ -117,7 +125,7 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
 T = TypeVar("T")
 
 
-def read_model(folder: Path) -> tuple[dict[int, Lens], list[Shot], Points]:
+def read_model(folder: Path) -> tuple[Lenses, list[Shot], Points]:
     """Read a model's files: (cameras by id, images in the order of the file, 3D points).
 
     The binary files are read where there are both. Without a points3D file there are no points.
@@ -151,7 +159,9 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
     Raises SnergError, which begins with `where`, when the lens model is not supported or has another number of parameters.
     """
     if model not in COUNTS or model in OTHERS:
-        raise SnergError(f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first.")
+        raise UnsupportedLens(
+            f"{where} has the lens model {model}, which is not supported; undistort with COLMAP's image_undistorter first."
+        )
     if len(values) != COUNTS[model]:
         raise SnergError(f"{where} gives {len(values)} parameters for the lens model {model}, which has {COUNTS[model]}.")
     if model in ONE_FOCAL:
@@ -163,6 +173,35 @@ def lens_of(model: str, width: int, height: int, values: list[float], where: str
     elif any(bent):
         distortion = Distortion("opencv", tuple(bent))
     return Lens(width, height, (fx, fy), (cx, cy), distortion)
+
+
+def _lens_or_error(model: str, width: int, height: int, values: list[float], where: str) -> Lens | UnsupportedLens:
+    """As `lens_of`, but a known model that is not supported is returned as its error, since other images may have other lenses."""
+    try:
+        return lens_of(model, width, height, values, where)
+    except UnsupportedLens as error:
+        if model not in COUNTS:
+            raise
+        return error
+
+
+def _with_lenses(shots: list[Shot], lenses: Lenses) -> tuple[list[Shot], dict[int, Lens], tuple[str, ...]]:
+    """(the images whose lens is supported, the supported lenses, a note for each other lens that images have).
+
+    Raises UnsupportedLens when no image is left.
+    """
+    supported = {number: lens for number, lens in lenses.items() if isinstance(lens, Lens)}
+    kept = [shot for shot in shots if shot.lens in supported]
+    refused = {shot.lens for shot in shots} - set(supported)
+    notes = []
+    for number in sorted(refused):
+        error = lenses[number]
+        if isinstance(error, UnsupportedLens):
+            if not kept:
+                raise error
+            count = sum(shot.lens == number for shot in shots)
+            notes.append(f"{str(error).removesuffix('.')}; its {count} images are left out.")
+    return kept, supported, tuple(notes)
 
 
 class Bytes:
@@ -201,14 +240,14 @@ class Bytes:
         return found
 
 
-def binary_lenses(path: Path) -> dict[int, Lens]:
+def binary_lenses(path: Path) -> Lenses:
     """Read cameras.bin: lenses by camera id. Raises SnergError as `lens_of`."""
     file = Bytes(path)
-    lenses = {}
+    lenses: Lenses = {}
     for _ in range(file.count(24)):
         number, model, width, height = file.take("IiQQ")
         name, count = MODELS.get(model, (f"number {model}", 0))
-        lenses[number] = lens_of(name, width, height, list(file.take(f"{count}d")), f"{path}, camera {number},")
+        lenses[number] = _lens_or_error(name, width, height, list(file.take(f"{count}d")), f"{path}, camera {number},")
     return lenses
 
 
@@ -240,20 +279,34 @@ def binary_points(path: Path) -> Points:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    with open(path, encoding="utf-8") as file:
+    """The lines of a text file without the comments, trimmed. Values may be separated by commas, and a byte order mark may lead."""
+    with open(path, encoding="utf-8-sig") as file:
         for line in file:
-            if not line.startswith("#"):
-                yield line.rstrip("\r\n")
+            if not line.lstrip().startswith("#"):
+                yield line.strip()
 
 
-def text_lenses(path: Path) -> dict[int, Lens]:
+def _values(line: str, most: int = 0) -> list[str]:
+    """The values of a line; with `most`, the rest of the line is the last of so many."""
+    return re.split(r"\s*,\s*|\s+", line.strip(), maxsplit=max(most - 1, 0))
+
+
+def _shot_lines(path: Path) -> Iterator[tuple[str, str]]:
+    """The two lines of each image in images.txt: its pose, and its 2D points, which may be empty."""
+    lines = _lines(path)
+    for line in lines:
+        if line:
+            yield line, next(lines, "")
+
+
+def text_lenses(path: Path) -> Lenses:
     """Read cameras.txt: lenses by camera id. Raises SnergError as `lens_of`."""
-    lenses = {}
+    lenses: Lenses = {}
     for line in _lines(path):
         if line.strip():
-            number, model, width, height, *values = line.split()
+            number, model, width, height, *values = _values(line)
             where = f"{path}, camera {number},"
-            lenses[int(number)] = lens_of(model, int(width), int(height), [float(v) for v in values], where)
+            lenses[int(number)] = _lens_or_error(model, int(width), int(height), [float(v) for v in values], where)
     return lenses
 
 
@@ -263,12 +316,9 @@ def text_shots(path: Path) -> list[Shot]:
     Raises SnergError as `world_to_camera`.
     """
     shots = []
-    lines = _lines(path)
-    for line in lines:
-        if not line.strip():
-            continue
-        _, *pose, lens, name = line.strip().split(maxsplit=9)
-        tracks = next(lines, "").split()
+    for line, matches in _shot_lines(path):
+        _, *pose, lens, name = _values(line, 10)
+        tracks = _values(matches) if matches else []
         seen = np.array(tracks[2::3], np.int64)
         shots.append(Shot(name, int(lens), world_to_camera([float(v) for v in pose], f"{path}, image {name}"), seen[seen >= 0]))
     return shots
@@ -279,7 +329,7 @@ def text_points(path: Path) -> Points:
     rows = []
     for line in _lines(path):
         if line.strip():
-            number, x, y, z, *colour = line.split(maxsplit=7)[:7]
+            number, x, y, z, *colour = _values(line, 8)[:7]
             rows.append((int(number), float(x), float(y), float(z), *(int(c) for c in colour)))
     return _points(rows)
 
@@ -317,9 +367,11 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
     pose = np.eye(4)
     pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
     pose[:3, 3] = -rotation.T @ translation
+    given = float(lens.width), float(lens.height)
+    size, upright = size_for(image, given)
     camera: Camera = scaled_to(
-        read_size(image),
-        (float(lens.width), float(lens.height)),
+        size,
+        given,
         f"{folder}, image {shot.name},",
         focal=lens.focal,
         centre=lens.centre,
@@ -327,8 +379,16 @@ def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: 
         name=Path(shot.name).stem,
         distortion=lens.distortion,
     )
-    mask = inside(root, f"masks/{shot.name}.png", str(folder))
-    return View(camera, image, mask if mask.is_file() else None)
+    return View(camera, image, _mask(root, shot.name, str(folder)), upright=upright)
+
+
+def _mask(root: Path, name: str, where: str) -> Path | None:
+    """The mask of the image `name`: COLMAP's masks/<name>.png, else masks/<name> with any suffix, or the same in mask/; None without."""
+    for folder in ("masks", "mask"):
+        for mask in (f"{folder}/{name}.png", f"{folder}/{name}"):
+            if (found := find_below(root, mask, where)) is not None:
+                return found
+    return None
 
 
 def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
@@ -345,24 +405,59 @@ def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:
     return np.array(bounds)
 
 
-def _model_folder(path: Path) -> Path | None:
-    """The first of FOLDERS in `path` that holds a model; None where none does."""
+def find_models(path: Path) -> list[Path]:
+    """The folders of all models in the first of FOLDERS in `path` that holds any; sorted by number."""
     for name in FOLDERS:
-        folder = path / name
-        if any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt")):
-            return inside(path, name, str(path))
-    return None
+        parent = path / name
+        if not parent.is_dir():
+            continue
+        numbered = sorted((p for p in parent.iterdir() if p.name.isdecimal()), key=lambda p: int(p.name))
+        found = [inside(path, str(p.relative_to(path)), str(path)) for p in (parent, *numbered) if _holds_model(p)]
+        if found:
+            return found
+    return []
 
 
-def _root(path: Path) -> Path:
-    """The dataset's folder, which contains images*: `path`, its parent or its grandparent; `path` where none does."""
+def _holds_model(folder: Path) -> bool:
+    return any((folder / f"cameras.{kind}").is_file() for kind in ("bin", "txt"))
+
+
+def largest_model(path: Path) -> tuple[Path | None, str]:
+    """(the folder of the model with the most images, None without one; a sentence that names the other models, '' without others).
+
+    COLMAP numbers its models in the order in which it began them, so that 0 may be a false start.
+    """
+    models = find_models(path)
+    if len(models) < 2:
+        return (models[0] if models else None), ""
+    counts = [_image_count(folder) for folder in models]
+    chosen = int(np.argmax(counts))
+    others = ", ".join(f"{models[i].relative_to(path.resolve())} ({counts[i]})" for i in range(len(models)) if i != chosen)
+    name = models[chosen].relative_to(path.resolve())
+    return models[
+        chosen
+    ], f"There are {len(models)} COLMAP models: {name}, which has the most images ({counts[chosen]}), is read, not {others}."
+
+
+def _image_count(folder: Path) -> int:
+    """How many images a model has; 0 where its file is missing."""
+    binary, text = folder / "images.bin", folder / "images.txt"
+    if (folder / "cameras.bin").is_file():
+        if not binary.is_file():
+            return 0
+        with reading(binary, "export the model again"), open(binary, "rb") as file:
+            return int(struct.unpack("<Q", file.read(8))[0])
+    with reading(text, "export the model again"):
+        return sum(1 for _ in _shot_lines(text)) if text.is_file() else 0
+
+
+def _root(path: Path, model: Path) -> Path:
+    """The dataset's folder, which contains the images: the nearest to the model that has any, from the model's own up to `path`.
+
+    Where `path` is the model's own folder or the one that holds its number, up to MAX_LEVELS folders above it as well; `path` without any.
+    """
     path = path.resolve()
-    for root in (path, path.parent, path.parent.parent):
-        if any(p.is_dir() for p in root.glob("images*")):
-            return root
-    return path
-
-
-def _with_other_suffix(pictures: Path, name: str, folder: Path) -> Path | None:
-    """The image `name` with any suffix: a downscaled images_<n> may hold the JPEGs as PNGs. None when there is none."""
-    return find_image(pictures, name.rpartition(".")[0] or name, str(folder))
+    roots = [folder for folder in (model, *model.parents) if folder.is_relative_to(path)]
+    if model == path or model.parent == path:
+        roots += path.parents[:MAX_LEVELS]
+    return next((root for root in roots if has_image_folder(root)), path)

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ...errors import SnergError
 from ...io.guard import check_file, reading
-from ...io.images import read_size
 from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
-from ..image_resolver import image_folder, images_in, scaled_to
+from ..image_resolver import check_distinct, find_image, image_folder, images_in, scaled_to, size_for
+from .colmap import largest_model, read_model
 
 FILE = "poses_bounds.npy"
 MAX_BYTES = 2**26  # 490,000 views
@@ -35,14 +35,22 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
     table = read_table(inside(root, FILE, str(root)))
     folder, factor = image_folder(root, options.downscale, str(root / FILE))
     images = images_in(folder, str(root))
+    notes: tuple[str, ...] = ()
+    if len(images) != len(table):
+        posed = registered(root, folder, len(table))
+        if posed:
+            left_out = len(set(images) - set(posed))
+            notes = (f"{left_out} photographs in {folder} have no pose, since the COLMAP model does not have them; they are left out.",)
+            images = posed
     if len(images) != len(table):
         raise SnergError(f"{root / FILE} has {len(table)} poses, but {folder} has {len(images)} images; they must be as many.")
     views = []
     for index, (row, image) in enumerate(zip(table, images, strict=True)):
         where = f"{root / FILE}, pose {index}"
         pose, (height, width, focal) = row[:15].reshape(3, 5)[:, :4], row[:15].reshape(3, 5)[:, 4]
+        size, upright = size_for(image, (float(width), float(height)))
         camera = scaled_to(
-            read_size(image),
+            size,
             (float(width), float(height)),
             where,
             focal=(float(focal), float(focal)),
@@ -50,8 +58,19 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
             camera_to_world=np.concatenate([pose[:, :3] @ TO_OPENGL, pose[:, 3:]], axis=1),
             name=image.stem,
         )
-        views.append(View(camera, image))
-    return Source(root, "llff", tuple(views), photographs=True, bounds=table[:, 15:], factor=factor)
+        views.append(View(camera, image, upright=upright))
+    return Source(root, "llff", tuple(views), photographs=True, bounds=table[:, 15:], factor=factor, notes=notes)
+
+
+def registered(root: Path, folder: Path, count: int) -> list[Path]:
+    """The images of the COLMAP model beside the table, sorted by name as LLFF sorts them; none unless the model has `count` images."""
+    model, _ = largest_model(root)
+    if model is None:
+        return []
+    names = sorted(shot.name for shot in read_model(model)[1])
+    found = [find_image(folder, name, str(model)) for name in names]
+    check_distinct(zip(names, found, strict=True), str(model))
+    return [path for path in found if path is not None] if len(names) == count else []
 
 
 def read_table(path: Path) -> NDArray[Any]:

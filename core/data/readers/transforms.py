@@ -18,13 +18,13 @@ from ...errors import SnergError
 from ...geometry.box import Box
 from ...geometry.camera import Camera, focal_from_angle
 from ...geometry.distortion import MODELS, Distortion
-from ...io.files import json_bytes, read_json, write_bytes
+from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, View
+from ..dataset import DatasetOptions, Source, UnsupportedLens, View
 from ..depth import depth_of_frame, passes_of_frame
-from ..image_resolver import find_image, scaled_to
+from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
 from .ply import read_ply
 
 LENSES = {
@@ -32,6 +32,7 @@ LENSES = {
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
 OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
+POSES = ("transform_matrix_start", "transform_matrix")  # the first: instant-ngp's, where a camera moves during the exposure
 OURS = ("snerg_box", "snerg_render")  # keys of files that SNeRG's renders have: their world is Blender's
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # splits and nerfstudio's keys for them
 NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
@@ -60,7 +61,7 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
 
 def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
     value, frames = read_frames(file)
-    views = [read_frame(file, value, frame, index, "aabb_scale" in value) for index, frame in enumerate(frames)]
+    views, notes = read_frames_with_lenses(file, value, frames)
     there = tuple(view for view in views if view is not None)
     if not there:
         raise SnergError(f"{file} lists {len(frames)} images, of which none exists; put them where the file says, or correct it.")
@@ -82,8 +83,28 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         colours=colours,
         half_extent=read_half_extent(file, value),
         factor=options.downscale,
-        skipped_frames=len(views) - len(there),
+        skipped_frames=len(views) - len(there) - len(notes),
+        notes=notes,
     )
+
+
+def read_frames_with_lenses(file: Path, value: dict[str, Any], frames: list[dict[str, Any]]) -> tuple[list[View | None], tuple[str, ...]]:
+    """The view of each frame, None where it has none (see `read_frame`), and a note for each that is left out for its lens.
+
+    Raises SnergError as `read_frame` does, and for the lens when no frame has another.
+    """
+    views: list[View | None] = []
+    refused: list[UnsupportedLens] = []
+    for index, frame in enumerate(frames):
+        try:
+            views.append(read_frame(file, value, frame, index, "aabb_scale" in value))
+        except UnsupportedLens as error:
+            refused.append(error)
+            views.append(None)
+    if refused and not any(views):
+        raise refused[0]
+    check_distinct(((f["file_path"], v.image) for f, v in zip(frames, views, strict=True) if v is not None), str(file))
+    return views, tuple(f"{str(error).removesuffix('.')}; this image is left out." for error in refused)
 
 
 def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
@@ -93,17 +114,36 @@ def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
     """
     if path.is_file():
         return path, (split,) if path.name.startswith("transforms_") else ()
-    there = tuple(sorted(p.stem.removeprefix("transforms_") for p in path.glob("transforms_*.json")))
-    if f"transforms_{split}" in (f"transforms_{name}" for name in there):
+    files = sorted(p.stem.removeprefix("transforms_") for p in path.glob("transforms_*.json"))
+    there = tuple(name for name in files if name == "train" or has_pictures(path / f"transforms_{name}.json"))
+    if split in files and split not in there:
+        raise SnergError(f"{path / f'transforms_{split}.json'} has no pictures, only cameras; render from them, or render its pictures.")
+    if split in there:
         return path / f"transforms_{split}.json", there
     if (path / "transforms.json").is_file():
         return path / "transforms.json", ()
     raise SnergError(f"The dataset {path} has no split {split!r}; it has the splits {', '.join(there)}.")
 
 
+def has_pictures(file: Path) -> bool:
+    """Whether a picture of any frame of a transforms file exists; True for a damaged file, whose reader says so.
+
+    BlenderNeRF writes test cameras without pictures by default.
+    """
+    try:
+        value = read_edited_json(file)
+    except SnergError:
+        return True
+    frames = value.get("frames") if isinstance(value, dict) else None
+    if not isinstance(frames, list):
+        return True
+    names = [frame.get("file_path") if isinstance(frame, dict) else None for frame in frames]
+    return any(not isinstance(name, str) or not name or find_image(file.parent, name, str(file)) for name in names)
+
+
 def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """(the JSON object in a transforms file, its frames). Raises SnergError when it has no frames or one is not an object."""
-    value = read_json(file)
+    value = read_edited_json(file)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
         raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
@@ -127,10 +167,17 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
         if skips_missing:
             return None
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
-    camera = read_camera(value, frame, read_size(image), where, name=image.stem)
+    merged = {**value, **frame}
+    stored = read_size(image)
+    try:
+        given = float(merged.get("w", stored[0])), float(merged.get("h", stored[1]))
+    except (TypeError, ValueError, OverflowError):
+        given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
+    size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
+    camera = read_camera(value, frame, size, where, name=image.stem)
     mask, hides = find_mask(file.parent, value, frame, image, where)
     depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
-    return View(camera, image, mask, hides, depth=depth, passes=passes)
+    return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright)
 
 
 def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
@@ -155,12 +202,13 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
     Raises SnergError, which begins with `where`, when the pose or the intrinsics are missing or invalid.
     """
     try:
-        pose = np.array(frame["transform_matrix"], np.float64)
+        pose = np.array(frame[next(key for key in POSES if key in frame or key == POSES[-1])], np.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{where} has no transform_matrix of 4 x 4 numbers; every frame needs a pose.") from error
     merged = {**value, **frame}
-    if "camera_angle_x" in frame and "fl_x" not in frame:
-        merged.pop("fl_x", None)
+    for axis in "xy":  # a frame's own field of view comes before the file's focal length
+        if any(key in frame for key in (f"camera_angle_{axis}", f"{axis}_fov")) and f"fl_{axis}" not in frame:
+            merged.pop(f"fl_{axis}", None)
     try:
         return _camera(merged, size, pose, where, name)
     except (TypeError, ValueError, OverflowError) as error:
@@ -169,17 +217,15 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
 
 def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], where: str, name: str) -> Camera:
     width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
-    if "fl_x" in value:
-        focal_x = float(value["fl_x"])
-    elif "camera_angle_x" in value:
-        focal_x = focal_from_angle(float(value["camera_angle_x"]), 1, where) * width
-    else:
+    focal_x, focal_y = _focal(value, "x", width, where), _focal(value, "y", height, where)
+    if focal_x is None and focal_y is None:
         raise SnergError(f"{where} has neither camera_angle_x nor fl_x; a camera needs a field of view or a focal length.")
+    focal_x, focal_y = focal_x or focal_y or 0.0, focal_y or focal_x or 0.0
     return scaled_to(
         size,
         (width, height),
         where,
-        focal=(focal_x, float(value.get("fl_y", focal_x))),
+        focal=(focal_x, focal_y),
         centre=(float(value.get("cx", width / 2)), float(value.get("cy", height / 2))),
         camera_to_world=pose,
         projection=str(value.get("projection", "perspective")),
@@ -190,13 +236,31 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
     )
 
 
+def _focal(value: dict[str, Any], axis: str, pixels: float, where: str) -> float | None:
+    """The focal length in pixels along 'x' or 'y': fl_<axis>, <axis>_fov (degrees) or camera_angle_<axis> (radians), else None."""
+    if f"fl_{axis}" in value:
+        return float(value[f"fl_{axis}"]) or -1.0  # 0 is not 'not given': Camera refuses both
+    if f"{axis}_fov" in value:
+        return focal_from_angle(math.radians(float(value[f"{axis}_fov"])), 1, where) * pixels
+    if f"camera_angle_{axis}" in value and (axis == "x" or "camera_angle_x" not in value):
+        return focal_from_angle(float(value[f"camera_angle_{axis}"]), 1, where) * pixels
+    return None
+
+
 def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
     """The distortion that a file or frame describes; None for a pinhole camera. Raises SnergError when the lens is not supported."""
     named = str(value.get("camera_model", "")).upper()
     other = [key for key in OTHER_LENSES if value.get(key)]
     if named not in LENSES or other:
-        raise SnergError(f"{where} has the lens {other[0] if other else named}, which is not supported; undistort the images first.")
+        lens = other[0] if other else named
+        raise UnsupportedLens(f"{where} has the lens {lens}, which is not supported; undistort the images first.")
+    if value.get("from_mitsuba"):
+        raise SnergError(f"{where} has from_mitsuba, whose axes are not supported; turn its poses to OpenGL's axes and take the key out.")
+    if any(float(x) for x in value.get("rolling_shutter", ()) or ()):
+        raise SnergError(f"{where} has a rolling_shutter, which is not supported; take the key out to read the images as still ones.")
     model = "fisheye" if value.get("is_fisheye") else LENSES[named]
+    if model == "opencv" and named != "FULL_OPENCV" and value.get("k4") and not any(key in value for key in ("k5", "k6")):
+        model = "nerfstudio"  # whose k4 is the factor of r^8; OpenCV's is of the denominator and comes with k5 and k6
     coefficients = tuple(float(value.get(key, 0)) for key in MODELS[model])
     return Distortion(model, coefficients) if model == "fisheye" or any(coefficients) else None
 
@@ -210,22 +274,18 @@ def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]
     there = 0
     for frame, view in zip(frames, views, strict=True):
         if view is not None:
-            number[_plain(frame["file_path"])] = there
+            number[plain(frame["file_path"])] = there
             there += 1
     splits = {}
     for split in keys:
         names = value[SPLITS[split]]
         if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
             raise SnergError(f"{file}: {SPLITS[split]} is not a list of file names.")
-        unknown = [n for n in names if _plain(n) not in number]
+        unknown = [n for n in names if plain(n) not in number]
         if unknown:
             raise SnergError(f"{file}: {SPLITS[split]} names {unknown[0]} and {len(unknown) - 1} more that are no frame's file_path.")
-        splits[split] = [number[_plain(n)] for n in names]
+        splits[split] = [number[plain(n)] for n in names]
     return splits
-
-
-def _plain(name: str) -> str:
-    return name.removeprefix("./")
 
 
 def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None, NDArray[Any] | None]:
@@ -289,7 +349,7 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
         "cy": float(camera.centre[1]),
     }
     if camera.distortion is not None:
-        value["camera_model"] = "OPENCV_FISHEYE" if camera.distortion.model == "fisheye" else "OPENCV"
+        value["camera_model"] = "OPENCV_FISHEYE" if camera.distortion.model == "fisheye" else "OPENCV"  # 'nerfstudio' has no k5, k6
         value |= dict(zip(MODELS[camera.distortion.model], camera.distortion.coefficients, strict=True))
     if camera.projection != "perspective":
         value["projection"] = camera.projection
@@ -300,16 +360,23 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
     return value
 
 
-def read_cameras(path: str | os.PathLike[str]) -> tuple[Camera, ...]:
-    """Read only the cameras of a transforms file, to render from them. Where the file gives w and h, the images need not exist.
+def read_cameras(path: str | os.PathLike[str], size: tuple[int | None, int | None] = (None, None)) -> tuple[Camera, ...]:
+    """Read only the cameras of a transforms file or of nerfstudio's camera path, or Gaussian splatting's cameras.json,
+    to render from them.
 
-    Raises SnergError when the file has no frames, or a camera has neither a size nor an image.
+    Where the file gives w and h, the images need not exist. size: (width, height) in pixels of a camera that has neither a size nor an
+    image, None where not known; ignored for others. Raises SnergError when the file has no frames, or a camera has no size at all.
     """
     with reading(Path(path), "write it again"):
-        return _read_cameras(Path(path))
+        value = read_edited_json(Path(path))
+        if isinstance(value, dict) and "camera_path" in value:
+            return read_camera_path(value, str(path))
+        if isinstance(value, list):
+            return read_splat_cameras(value, str(path))
+        return _read_cameras(Path(path), size)
 
 
-def _read_cameras(path: Path) -> tuple[Camera, ...]:
+def _read_cameras(path: Path, wanted: tuple[int | None, int | None]) -> tuple[Camera, ...]:
     value, frames = read_frames(path)
     cameras = []
     for index, frame in enumerate(frames):
@@ -318,11 +385,12 @@ def _read_cameras(path: Path) -> tuple[Camera, ...]:
         merged = {**value, **frame}
         if "w" in merged and "h" in merged:
             size = _whole(merged["w"], where), _whole(merged["h"], where)
-        else:
-            image = find_image(path.parent, name, where)
-            if image is None:
-                raise SnergError(f"{where} gives no w and h, and its image {name} does not exist; a camera needs a size.")
+        elif (image := find_image(path.parent, name, where)) is not None:
             size = read_size(image)
+        elif wanted[0] is not None and wanted[1] is not None:
+            size = wanted[0], wanted[1]
+        else:
+            raise SnergError(f"{where} gives no w and h, and its image {name} does not exist; give --width and --height.")
         cameras.append(read_camera(value, frame, size, where, name=Path(name).stem))
     return tuple(cameras)
 
@@ -332,3 +400,49 @@ def _whole(value: Any, where: str) -> int:
         return int(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise SnergError(f"{where} has a size that is not a number ({error}).") from error
+
+
+def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
+    """The cameras of nerfstudio's camera path, in its own world: camera_to_world row by row, and the vertical field of view in degrees.
+
+    Raises SnergError for a camera_type other than 'perspective', and for missing or invalid values.
+    """
+    kind = str(value.get("camera_type", "perspective")).lower()
+    if kind != "perspective":
+        raise SnergError(f"{where} is a camera path of camera_type {kind}, which is not supported; export it as perspective.")
+    steps = value["camera_path"]
+    if not isinstance(steps, list) or not steps:
+        raise SnergError(f"{where} has a camera_path without cameras; export it again.")
+    width, height = _whole(value.get("render_width"), where), _whole(value.get("render_height"), where)
+    cameras = []
+    for index, step in enumerate(steps):
+        here = f"{where}, camera {index}"
+        try:
+            pose = np.array(step["camera_to_world"], np.float64).reshape(4, 4)
+            focal = focal_from_angle(math.radians(float(step["fov"])), height, here)
+        except (KeyError, TypeError, ValueError) as error:
+            raise SnergError(f"{here} lacks camera_to_world (16 numbers) or fov (degrees); export the path again.") from error
+        cameras.append(Camera(width, height, (focal, focal), (width / 2, height / 2), pose, name=f"{index:05d}"))
+    return tuple(cameras)
+
+
+def read_splat_cameras(value: list[Any], where: str) -> tuple[Camera, ...]:
+    """The cameras of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
+
+    Raises SnergError, which begins with `where`, when there is none or one is incomplete.
+    """
+    cameras = []
+    for index, item in enumerate(value):
+        here = f"{where}, camera {index}"
+        try:
+            pose = np.eye(4)
+            pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
+            pose[:3, 3] = np.array(item["position"], np.float64)
+            width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
+            name = Path(str(item.get("img_name", f"{index:05d}"))).stem
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            raise SnergError(f"{here} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
+        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, name=name))
+    if not cameras:
+        raise SnergError(f"{where} has no cameras; export it again.")
+    return tuple(cameras)

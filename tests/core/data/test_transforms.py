@@ -102,6 +102,7 @@ def no_focal(value):
     value.pop("camera_angle_x")
     for frame in value["frames"]:
         frame.pop("fl_x")
+        frame.pop("fl_y")
 
 
 def negative_focal(value):
