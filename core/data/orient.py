@@ -117,11 +117,25 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
 def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
     """The box that training must explain, axis-aligned. origin: [3] the source's origin in the new world; scale: new units per old.
 
-    From the source's half extent (instant-ngp's aabb_scale), else from the points without outliers, else from the cameras' frustums
-    between their nearest and farthest depth, else a cube that contains most cameras. All but the first are clipped at FARTHEST.
+    The cube of the source's half extent (instant-ngp's aabb_scale) where it is no larger than FARTHEST. A larger one is only an upper
+    bound, as that tool skips empty space at any size: the box is then the part of `measured_box` inside it.
     """
-    if source.half_extent is not None:
-        return Box.axis_aligned(origin - source.half_extent * scale, origin + source.half_extent * scale)
+    if source.half_extent is None:
+        return measured_box(source)
+    half = source.half_extent * scale
+    if half <= FARTHEST:
+        return Box.axis_aligned(origin - half, origin + half)
+    corners = measured_box(source).corners()
+    low, high = np.maximum(corners.min(axis=0), origin - half), np.minimum(corners.max(axis=0), origin + half)
+    return Box.axis_aligned(low, high) if (low < high).all() else measured_box(source)
+
+
+def measured_box(source: Source) -> Box:
+    """A box from what the capture shows, axis-aligned, clipped at FARTHEST.
+
+    From the points without outliers, else from the cameras' frustums between their nearest and farthest depth, else a cube that
+    contains most cameras.
+    """
     cameras = [view.camera for view in source.views]
     if source.points is not None and len(source.points) >= 10:
         low, high = np.percentile(source.points.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)

@@ -15,7 +15,7 @@ from ..errors import SnergError
 from ..geometry.ndc import Ndc
 from ..io.images import over, to_uint8
 from ..nerf.model import init_params, with_frequencies
-from ..nerf.sampling import Domain, hull
+from ..nerf.sampling import Domain, clip_rays, hull
 from ..progress import Progress
 from . import decisions, view_dependence_test
 from .config import TrainSettings
@@ -30,6 +30,7 @@ from .validation import HELD_OUT_RAYS, ValidationRays, some_views
 
 Masks = list[NDArray[Any] | None]
 DECISION_RAYS = 1024  # training rays that the decisions on sampling are measured on
+CROSSING_RAYS = 65536  # training rays that the share of rays crossing the box is measured on
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,8 @@ def prepare(dataset: Dataset, settings: TrainSettings, progress: Progress, held_
     rays, transparency = read_pixels(dataset, settings, masks, progress)
     domain, ndc, occupied, of_space = find_domain(dataset, settings, rays, masks, progress)
     rays.domain, rays.ndc = domain, ndc
+    if ndc is None:
+        require_crossing_rays(rays, settings.seed)
     rng = np.random.default_rng(settings.seed)
     sampler, of_sampling = make_sampler(settings, rays, occupied, rng)
     views = len(dataset.views)
@@ -136,6 +139,20 @@ def find_silhouettes(
     found = [f if mask is None else f | ~mask for f, mask in zip(found, masks, strict=True)]
     rays.keep_near(found, masks)
     return found, decision
+
+
+def require_crossing_rays(rays: RayDataset, seed: int) -> None:
+    """Raises SnergError when no ray of CROSSING_RAYS training rays crosses the domain: the loss would be 0 and nothing would be learned."""
+    origins, directions, near, far, _ = rays.rays(rays.draw(CROSSING_RAYS, np.random.default_rng(seed)))
+    enter, leave = clip_rays(rays.domain, origins, directions, near)
+    if (np.minimum(leave, far) > enter).any():
+        return
+    box = rays.domain.world_box().corners()
+    low, high = (", ".join(f"{v:.4g}" for v in corner) for corner in (box.min(axis=0), box.max(axis=0)))
+    raise SnergError(
+        f"No camera sees the training box, which spans ({low}) to ({high}): none of {CROSSING_RAYS} rays tried crosses it; "
+        "give a box around what the cameras look at, or correct the poses."
+    )
 
 
 def make_sampler(

@@ -91,6 +91,21 @@ def test_instant_ngp(tmp_path, lens):
     assert np.allclose(dataset.box.box_to_world[:3, 3], dataset.source_to_world[:3, 3])
 
 
+@pytest.mark.parametrize("large", [32, 128])
+def test_a_large_aabb_scale_is_an_upper_bound(tmp_path, large):
+    boxes = []
+    for name, top in (("large", {"aabb_scale": large}), ("none", {})):
+        folder = write_ngp(tmp_path / name, ring(), **top)
+        value = json.loads((folder / "transforms.json").read_text())
+        if not top:
+            del value["aabb_scale"]
+        (folder / "transforms.json").write_text(json.dumps(value))
+        source = read_dataset(folder, options=ALL)
+        boxes.append(source.box)
+    assert boxes[1] is not None and np.allclose(boxes[0].corners(), boxes[1].corners())
+    assert (boxes[0].size <= 16).all()
+
+
 def test_photographs_that_instant_ngp_threw_away(tmp_path):
     folder = write_ngp(tmp_path / "a", ring())
     (folder / "images" / "004.png").unlink()

@@ -18,6 +18,7 @@ from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.data.dataset import Dataset, View
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
+from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.checkpoint import read_field, read_field_and_state, write_field
@@ -406,3 +407,10 @@ def test_a_damaged_training_state_is_a_sentence(views, tmp_path, name, value):
     write_field(trainer.field(), tmp_path, state)
     with pytest.raises(SnergError, match=r"training state|another network"):
         train(views, settings, tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("far", [1e2, 1e6])
+def test_a_box_that_no_camera_sees_is_refused_before_training(views, far):
+    box = Box.axis_aligned([far] * 3, [far + 1] * 3)
+    with pytest.raises(SnergError, match=r"No camera sees the training box, .* none of 65536 rays tried crosses it; give a box"):
+        Trainer(replace(views, box=box), replace(SETTINGS, ndc="off"))
