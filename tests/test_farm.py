@@ -131,9 +131,8 @@ MEASURED = {"ms", "ms_95", "seconds", "write", "read", "predicted", "peak_megaby
 
 
 def values(folder):
-    """What the rows say, apart from times, and those of H.264, whose encoder now and then gives other bytes for the same frames."""
+    """What the rows say, apart from times."""
     read = {key: json.loads(path.read_text()) for key, path in rows(folder).items()}
-    read = {key: row for key, row in read.items() if row["config"] is None or row["config"]["codec"]["name"] != "h264"}
     return {key: {name: value for name, value in row.items() if name not in MEASURED} for key, row in read.items()}
 
 

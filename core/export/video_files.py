@@ -37,7 +37,13 @@ class VideoWriter:
     def add(self, pixels: NDArray[Any]) -> None:
         """Append a frame, uint8 [H, W, 3]; all have the size of the first."""
         if self.stream is None:
-            options = {"crf": f"{0.51 * (100 - self.codec.quality):.2f}", "preset": "medium", "sc_threshold": "0"}
+            # Without x264's macroblock tree, whose result changes from run to run for frames of few blocks: one scene, one file.
+            options = {
+                "crf": f"{0.51 * (100 - self.codec.quality):.2f}",
+                "preset": "medium",
+                "sc_threshold": "0",
+                "x264-params": "mbtree=0",
+            }
             self.stream = self.container.add_stream("libx264", rate=KEY_FRAME_INTERVAL, options=options)
             self.stream.height, self.stream.width = pixels.shape[:2]
             self.stream.pix_fmt, self.stream.gop_size = "yuv444p", KEY_FRAME_INTERVAL
