@@ -1,8 +1,9 @@
 """Runs inside Blender's window: what pictures.py photographs. See tests/window/drive.py, which sends the events.
 
 `blender --enable-event-simulate --python picture_walk.py -- panels FOLDER FILE` writes FOLDER/STEP.png, a picture of the whole window
-for each step, and FOLDER/panels.json with the rectangles to crop to. `-- live FOLDER SCENE` does the same for the viewport and the camera
-view of a baked scene among meshes, and `-- growing FOLDER DATASET` for the viewport during a training.
+for each step, and FOLDER/panels.json with the rectangles to crop to. `-- box FOLDER FILE` does the same for the box, `-- live FOLDER
+SCENE` for the viewport and the camera view of a baked scene among meshes, and `-- growing FOLDER DATASET` for the viewport during a
+training.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ SIDEBAR_WIDTH = 420  # pixels: no name is cut off
 VIEWPORT_SECONDS = 45  # for the viewport's render, by software
 LIVE_DISTANCE, LIVE_SECONDS = 5.2, 15  # world units; seconds until the viewport has drawn the baked scene, by software
 ENDLESS, PREVIEWS = 10**6, (1, 3, 7)  # steps of a training that is stopped, and those of its previews that are photographed
+BOX_DISTANCE = 9.0  # world units: the rig's nearest cameras are in the picture
 VIEW_DISTANCE = 3.7  # world units from the middle of the still life: nearer than its cameras, none of which is then in the way
 
 
@@ -48,6 +50,27 @@ def panels(window: drive.Window, file: str) -> drive.Walk:
     window.view.spaces.active.shading.type = "RENDERED"
     yield from window.wait(VIEWPORT_SECONDS)
     yield from window.picture("blender")
+
+
+def box(window: drive.Window, file: str) -> drive.Walk:
+    """A picture of the viewport with the box, its arrows and voxels, and the rig's cameras, of the scene in the file."""
+    bpy.context.preferences.view.ui_scale = SCALE
+    yield from window.file("open_mainfile", Path(file))
+    with bpy.context.temp_override(window=window.window, area=window.view):
+        bpy.ops.screen.screen_full_area()
+    look(window)
+    settings, space, scene = window.settings, window.view.spaces.active, window.window.scene
+    for thing in scene.objects:
+        thing.hide_set(thing.type == "CAMERA" or bool(thing.snerg.folder))
+    settings.show_voxels, settings.resolution, settings.cameras, settings.rig_count = True, 48, "RIG", 40
+    space.shading.color_type, space.show_gizmo = "MATERIAL", True
+    space.region_3d.view_rotation, space.region_3d.view_distance = Euler((1.1, 0, 0.6)).to_quaternion(), BOX_DISTANCE
+    with bpy.context.temp_override(window=window.window):
+        settings.box.select_set(True)
+        window.window.view_layer.objects.active = settings.box
+    yield from window.wait(2)
+    yield from window.picture("box")
+    window.seen["crop"] = region_rectangle(window)
 
 
 def live(window: drive.Window, scene: str) -> drive.Walk:

@@ -64,6 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     photograph(blender, "panels", file)
     for name in PANELS:
         write(cropped(name), OUT / f"panel-{name}.png")
+    box_picture(blender, file)
     web = next(WORK.glob("*.snerg/*/web"))
     write(beside(Image.open(WORK / "panels" / "blender.png"), page(web)), OUT / "blender-and-web.webp")
     write(contact_sheet(), OUT / "contact.webp")
@@ -80,6 +81,14 @@ def make_project(blender: Blender, file: Path, minutes: float) -> None:
     result = blender.run("-b", "--python-exit-code", "1", *script, seconds=1800)
     if result.returncode:
         raise RuntimeError(f"Blender did not make the project: {(result.stdout + result.stderr)[-3000:]}")
+
+
+def box_picture(blender: Blender, file: Path) -> None:
+    """The box with its handles in the viewport of Blender's window."""
+    photograph(blender, "box", file)
+    picture = Image.open(WORK / "box" / "box.png").convert("RGB").crop(json.loads((WORK / "box" / "box.json").read_text())["crop"])
+    size = (LIVE_WIDTH, picture.height * LIVE_WIDTH // picture.width)
+    write(picture.resize(size, Image.Resampling.LANCZOS), OUT / "box.webp")
 
 
 def object_pictures(blender: Blender) -> None:

@@ -154,6 +154,8 @@ def undo(window: Window, folder: str) -> Walk:
     with bpy.context.temp_override(window=window.window):
         bpy.ops.ed.undo_push(message="Stage")
     add(window, folder)
+    with bpy.context.temp_override(window=window.window):
+        bpy.ops.ed.undo_push(message="Add")  # as Blender does after a menu's operator, not after a script's
     yield from colours(window, "added", points)
     yield from window.over_view()
     yield from window.press("G")
