@@ -64,9 +64,9 @@ bench-estimate: setup
 fuzz: setup
 	$(PY) bench/fuzz.py --count $(or $(N),5000) --seed $(or $(SEED),0)
 
-# A file of tests stays in one process, because its tests share what it makes.
+# A file of tests stays in one process, because its tests share what it makes. Blender goes first: it crashes where a browser was driven before.
 test: setup
-	$(PY) -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile $(if $(BPY),tests/blender)
+	$(PY) -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder $(if $(BPY),tests/blender)
 
 test-slow: setup
 	$(PY) -m pytest -m slow || [ $$? -eq 5 ] # 5: there are none

@@ -34,8 +34,9 @@ class Truth:
 def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
     """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
-    near = np.maximum(scene.near, camera.near / (directions @ -camera.camera_to_world[:3, 2]))  # a plane, as Blender's clip start
-    values, transmittance, depth = dense_rays(scene, origins, directions, near, per_sample_network)
+    cosines = directions @ -camera.camera_to_world[:3, 2]  # near and far are planes, as Blender's clip start and end
+    near, far = np.maximum(scene.near, camera.near / cosines), camera.far / cosines
+    values, transmittance, depth = dense_rays(scene, origins, directions, near, per_sample_network, far)
     colour = values[:, :3].copy()
     if scene.network is not None and not per_sample_network:
         seen = transmittance <= NETWORK_TRANSMITTANCE
@@ -50,14 +51,20 @@ def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) 
 
 
 def dense_rays(
-    scene: Scene, origins: np.ndarray, directions: np.ndarray, near: float | np.ndarray, per_sample_network: bool = False
+    scene: Scene,
+    origins: np.ndarray,
+    directions: np.ndarray,
+    near: float | np.ndarray,
+    per_sample_network: bool = False,
+    far: float | np.ndarray = np.inf,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """March rays of the world: premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N], in the grid's units."""
-    begins = near
+    begins, ends = near, far
     views = directions @ scene.view_rotation.T
     if scene.ndc is not None:
+        last = device_points(scene.ndc, origins + np.where(np.isfinite(far), far, 0)[..., None] * directions)
         origins, directions = device_rays(scene.ndc, origins, directions, near)
-        begins = 0.0
+        begins, ends = 0.0, np.where(np.isfinite(far), ((last - origins) * directions).sum(axis=-1), np.inf)
     axes, corner = scene.grid_to_world[:3, :3], scene.grid_to_world[:3, 3]
     origin = (origins - corner) @ axes / scene.voxel_size
     direction = directions @ axes
@@ -67,6 +74,7 @@ def dense_rays(
     inside = (origin >= 0) & (origin <= np.array(scene.shape))
     enters = np.where(parallel, np.where(inside, -np.inf, np.inf), walls.min(axis=0)).max(axis=-1)
     leaves = np.where(parallel, np.where(inside, np.inf, -np.inf), walls.max(axis=0)).min(axis=-1)
+    leaves = np.minimum(leaves, ends / scene.voxel_size)
     start = np.maximum(enters, begins / scene.voxel_size)
     values = np.zeros((len(origin), scene.cells.shape[-1] - 1))
     transmittance, depth = np.ones(len(origin)), np.zeros(len(origin))
@@ -106,6 +114,13 @@ def device_rays(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, near: flo
     along = np.stack([-fx * (dx / dz - ox / oz), -fy * (dy / dz - oy / oz), -2 * ndc.near / oz], axis=-1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     return np.where(seen[:, None], start, 1e6), np.where(seen[:, None], along, [0, 0, 1.0])
+
+
+def device_points(ndc: Ndc, points: np.ndarray) -> np.ndarray:
+    """Points [N, 3] of the world in NDC (NeRF, appendix C)."""
+    x, y, z = ((points - ndc.camera_to_world[:3, 3]) @ ndc.camera_to_world[:3, :3]).T
+    z = np.minimum(z, -1e-9)
+    return np.stack([-ndc.focal[0] * x / z, -ndc.focal[1] * y / z, 1 + 2 * ndc.near / z], axis=-1)
 
 
 def world_depth(ndc: Ndc, origins: np.ndarray, directions: np.ndarray, distance: np.ndarray, near: float | np.ndarray) -> np.ndarray:

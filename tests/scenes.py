@@ -150,6 +150,7 @@ def make_cameras(
         Camera(w, h, (0.6 * w, 0.6 * w), (w / 2, h / 2), pose((0.05, -0.05, 0.1), (0.4, 0.3, 0.1)), name="Inside"),
         Camera(h, w, (0.9 * w, 0.9 * w), (h / 2, w / 2), pose((0, 0, 2.2)), name="Top, portrait"),
         Camera(w, h, (1.2 * w, 1.2 * w), (w / 2, h / 2), pose((0.4, -1.5, 0.3)), name="Near plane", near=1.45 * size),
+        Camera(w, h, (1.2 * w, 1.2 * w), (w / 2, h / 2), pose((0.4, -1.5, 0.3)), name="Far plane", far=1.45 * size),
     )
 
 
@@ -190,6 +191,7 @@ def make_forward_cameras(frame: Ndc, width: int = 48, height: int = 36) -> tuple
         Camera(w, h, (0.4 * w / frame.near,) * 2, middle, pose((0, 0, 0), (0.05, 0.1, 0)), "orthographic", "Parallel"),
         Camera(w, h, (0.2 * w, 0.2 * w), middle, pose((0, 0, 0.2), (0.2, 0.9, 0.1)), name="Looking back"),
         Camera(w, h, focal, middle, pose((0.1, 0, 0)), name="Near plane", near=2.5 * frame.near),
+        Camera(w, h, focal, middle, pose((0.1, 0, 0)), name="Far plane", far=3.5 * frame.near),
     )
 
 

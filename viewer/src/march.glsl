@@ -24,7 +24,8 @@ uniform bool orthographic;
 uniform vec3 cameraPosition;      // ray space
 uniform mat3 raySpaceFromCamera;  // a rotation
 uniform mat3 networkFromCamera;   // a rotation, to the axes in which the network was trained
-uniform float nearDistance;       // ray space, from the camera
+uniform float nearDistance;       // ray space, along the ray, where the scene begins
+uniform vec2 clipPlanes;          // ray space, along the view axis: nearest and farthest that is seen
 uniform vec3 gridShape;           // voxels
 uniform ivec3 gridBlocks;         // macroblocks
 uniform vec3 background;
@@ -52,16 +53,17 @@ void main() {
   vec3 viewDirection = orthographic ? vec3(0.0, 0.0, -1.0) : normalize(vec3(imagePlane, -1.0)); // camera axes
   vec3 origin = orthographic ? cameraPosition + raySpaceFromCamera * vec3(imagePlane, 0.0) : cameraPosition;
   vec3 direction = raySpaceFromCamera * viewDirection;
-  float near = nearDistance;
+  float near = max(nearDistance, clipPlanes.x / -viewDirection.z);
+  float far = clipPlanes.y / -viewDirection.z;
 #if FORWARD_FACING
-  toGrid(origin, direction, near);
+  toGrid(origin, direction, near, far);
 #endif
   vec3 inverseDirection = 1.0 / mix(direction, vec3(1e-9), lessThan(abs(direction), vec3(1e-9)));
 
   vec3 low = min(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
   vec3 high = max(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
   float entryDistance = max(max(low.x, max(low.y, low.z)), near);
-  float endDistance = min(high.x, min(high.y, high.z));
+  float endDistance = min(far, min(high.x, min(high.y, high.z)));
 
   vec3 rgb = vec3(0.0);
   vec4 features = vec4(0.0);

@@ -190,6 +190,7 @@ export class ProgressiveRenderer {
     uniforms.raySpaceFromCamera.value.setFromMatrix4(values.raySpaceFromCamera);
     uniforms.networkFromCamera.value.setFromMatrix4(values.networkFromCamera);
     uniforms.nearDistance.value = values.nearDistance;
+    uniforms.clipPlanes.value.set(...values.clipPlanes);
     uniforms.background.value.set(...values.background);
   }
 }
@@ -207,6 +208,7 @@ function marchUniforms(scene, textures) {
     raySpaceFromCamera: { value: new Matrix3() },
     networkFromCamera: { value: new Matrix3() },
     nearDistance: { value: 0 },
+    clipPlanes: { value: new Vector2() },
     gridShape: { value: new Vector3(...scene.shape) },
     gridBlocks: { value: new Vector3(...scene.blocks) },
     background: { value: new Vector3(1, 1, 1) },

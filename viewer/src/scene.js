@@ -121,6 +121,7 @@ function isCamera(camera) {
     isArray(camera.centre, [2]) &&
     isArray(camera.camera_to_world, [4, 4]) &&
     Number.isFinite(camera.near) &&
+    (camera.far === undefined || camera.far > camera.near) &&
     ["perspective", "orthographic"].includes(camera.projection)
   );
 }

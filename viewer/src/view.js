@@ -6,6 +6,7 @@ import { matrixOfRows, positionOf, rotationOf } from "./scene.js";
 const MIN_TILT = 1e-4; // radians: a camera that looks straight down is tilted by this much, so that the orbit keeps its heading
 const MIN_ORBIT_DISTANCE = 0.02; // of the orbit's scale: where a camera is past the centre, it orbits a point this far before it
 
+const FARTHEST = 1e9; // voxels, or units of the scene: the far plane of cameras without one
 const UNNAMED = { name: "", projection: "perspective", near: 0 }; // of the cameras that the viewer adds itself
 
 /** The camera whose image spans -1 to 1 in a forward-facing scene's normalised device coordinates. */
@@ -134,8 +135,8 @@ export class View {
     const raySpaceFromCamera = this.raySpaceFromWorld.clone().multiply(rotation);
     // Subtract first: far from the world's origin, the difference of two rotated positions would lose precision.
     const cameraPosition = positionOf(pose).sub(this.raySpaceOrigin).applyMatrix4(this.raySpaceFromWorld).divideScalar(this.raySpaceUnit);
-    let nearDistance = Math.max(scene.near, camera.near) / this.raySpaceUnit;
-    if (orthographic && !scene.ndc) nearDistance -= this.moveToBox(cameraPosition, raySpaceFromCamera);
+    const moved = orthographic && !scene.ndc ? this.moveToBox(cameraPosition, raySpaceFromCamera) : 0;
+    const [nearDistance, near, far] = [scene.near, camera.near, camera.far ?? FARTHEST].map((length) => length / this.raySpaceUnit - moved);
     const [sx, sy] = [width / this.size[0], height / this.size[1]];
     const [left, top] = this.frame;
     const zoom = this.scale * (this.atCamera ? 1 : this.controls.object.zoom);
@@ -149,6 +150,7 @@ export class View {
       raySpaceFromCamera,
       networkFromCamera: scene.networkFromWorld.clone().multiply(rotation),
       nearDistance,
+      clipPlanes: [near, Math.min(far, FARTHEST)],
       background: this.background,
     };
   }
