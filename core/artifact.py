@@ -37,7 +37,8 @@ OWN_FILES = re.compile(r".*\.npz|transforms.*\.json|poses_bounds\.npy|checkpoint
 def artifact_at(path: Path) -> Path:
     """The folder of the scene, the web page, the field or the dataset that the file `path` is a part of.
 
-    `path` itself where it is a folder, does not exist or may not be looked at, or where the file is a field, a checkpoint or a dataset on its own.
+    `path` itself where it is a folder, does not exist or may not be looked at, or where the file is a field, a checkpoint or a dataset on
+    its own.
     """
     if not os.path.isfile(path) or OWN_FILES.fullmatch(path.name):
         return path
