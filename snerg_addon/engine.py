@@ -37,12 +37,11 @@ PASSES = {
 
 @dataclass(frozen=True)
 class Placed:
-    """An object of a frame: its scene, the camera and the clip planes as they stand to that, its scale, its pass index, and whether it is
-    a holdout, which cuts a hole into what is behind it."""
+    """An object of a frame: its scene, the camera as it stands to that, its scale, its pass index, and whether it is a holdout, which cuts
+    a hole into what is behind it."""
 
     scene: Scene
     camera: Camera
-    clip: tuple[float, float]
     scale: float
     index: int
     holdout: bool = False
@@ -82,14 +81,12 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
         if scene.camera is None:
             raise SnergError(f"The scene {scene.name!r} has no camera; add one, or choose one in the scene's properties.")
         camera = bordered(camera_from_blender(scene.camera, scene, depsgraph), scene.render)
-        things = list(placed(depsgraph, camera, clip_of(scene.camera, depsgraph)))
+        things = list(placed(depsgraph, camera))
         background = None if depsgraph.scene_eval.render.film_transparent else world_colour(scene)
         for top in range(0, camera.height, BAND):
             band = rows_of(camera, top, min(BAND, camera.height - top))
             tell = self._tell(top, camera.height)
-            frames = [
-                render_scene(thing.scene, rows_of(thing.camera, top, band.height), progress=tell, clip=thing.clip) for thing in things
-            ]
+            frames = [render_scene(thing.scene, rows_of(thing.camera, top, band.height), progress=tell) for thing in things]
             self._write(depsgraph.view_layer_eval.name, camera.height - top - band.height, merged(frames, things, band), background)
             self.update_progress((top + band.height) / camera.height)
 
@@ -170,13 +167,7 @@ def rows_of(camera: Camera, top: int, count: int) -> Camera:
     return replace(camera, height=count, centre=(camera.centre[0], camera.centre[1] - top))
 
 
-def clip_of(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[float, float]:
-    """A camera's clip start and end, world units along its view axis."""
-    data = camera.evaluated_get(depsgraph).data
-    return float(data.clip_start), float(data.clip_end)
-
-
-def placed(depsgraph: bpy.types.Depsgraph, camera: Camera, clip: tuple[float, float]) -> Iterator[Placed]:
+def placed(depsgraph: bpy.types.Depsgraph, camera: Camera) -> Iterator[Placed]:
     """What of SNeRG objects, instances too, is in a frame. Raises SnergError where one cannot be rendered."""
     layer = depsgraph.view_layer
     for instance in depsgraph.object_instances:
@@ -189,7 +180,7 @@ def placed(depsgraph: bpy.types.Depsgraph, camera: Camera, clip: tuple[float, fl
         scene = cached(source_of(thing.original))
         moved, scale = placed_camera(thing.name, scene, matrix, camera)
         holdout = thing.is_holdout or thing.original.holdout_get(view_layer=layer)
-        yield Placed(scene, moved, (clip[0] / scale, clip[1] / scale), scale, thing.pass_index, holdout)
+        yield Placed(scene, moved, scale, thing.pass_index, holdout)
 
 
 def merged(frames: list[Frame], things: list[Placed], camera: Camera) -> Picture:

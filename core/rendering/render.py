@@ -51,20 +51,11 @@ class MarchSettings:
     skip: bool = True  # skip empty space; the picture is the same without, but takes longer
 
 
-def render_scene(
-    scene: Scene,
-    camera: Camera,
-    settings: MarchSettings = MarchSettings(),
-    progress: Progress = silent,
-    clip: tuple[float, float] | None = None,
-) -> Frame:
-    """Render a baked scene from a camera. `progress` may raise Cancelled, which stops the march within tenths of a second.
-
-    clip: world units along the view axis; what is nearer than the first and farther than the second is not seen, as in Blender. By
-    default the camera's own.
-    """
+def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent) -> Frame:
+    """Render a baked scene from a camera, between its near and far planes. `progress` may raise Cancelled, which stops the march within
+    tenths of a second."""
     pixels = tiled_pixels(camera.width, camera.height)
-    span = _seen_span(scene, camera, pixels, clip)
+    span = _seen_span(scene, camera, pixels)
     near = span[0]
     rays = _march(scene, lambda part: camera.rays(pixels[part]), len(pixels), settings, progress, span)
     colour, alpha = rays.colour, 1 - rays.transmittance
@@ -104,18 +95,16 @@ def tiled_pixels(width: int, height: int) -> NDArray[Any]:
     return np.stack([column.reshape(-1), row.reshape(-1)], axis=-1)
 
 
-def _seen_span(
-    scene: Scene, camera: Camera, pixels: NDArray[Any], clip: tuple[float, float] | None
-) -> tuple[NDArray[Any], NDArray[Any] | None]:
+def _seen_span(scene: Scene, camera: Camera, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """World units along the rays of pixels [N, 2], each [N] or None for infinity: where they begin, and where they end."""
-    begin, end = clip or (camera.near, camera.far)
-    if begin == 0 and end == np.inf:
+    if camera.near == 0 and camera.far == np.inf:
         return np.full(len(pixels), scene.near), None
     _, directions = camera.rays(pixels)
     cosines = directions @ -camera.camera_to_world[:3, 2]
     ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
     cosines = np.where(ahead, cosines, 1)
-    return np.maximum(scene.near, begin / cosines), None if end == np.inf else np.where(ahead, end / cosines, np.inf)
+    far = None if camera.far == np.inf else np.where(ahead, camera.far / cosines, np.inf)
+    return np.maximum(scene.near, camera.near / cosines), far
 
 
 def march_rays(

@@ -6,7 +6,7 @@ What the card does not march (forward-facing scenes, and scenes that it refuses)
 from __future__ import annotations
 
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -188,11 +188,11 @@ def has_room(region: Region, place: card.Place) -> bool:
 def view_of(region: Region, one: Shown, scene: Scene) -> View:
     """What the processor is to draw. Raises SnergError where no Camera sees so."""
     camera, back = camera_of(region.projection, region.camera, region.width, region.height)
+    camera = replace(camera, near=max(region.projection.near + back, 0.0), far=region.projection.far + back)
     moved, scale = placed_camera(one.thing.name, scene, one.matrix, camera)
-    near, far = max(region.projection.near + back, 0.0), region.projection.far + back
     key = b"".join(v.tobytes() for v in (one.matrix, region.camera, region.projection.matrix)) + id(scene).to_bytes(8, "little")
     key += bytes(f"{region.width} {region.height}", "ascii")
-    return View(key, scene, moved, scale, (near / scale, far / scale), -back / scale)
+    return View(key, scene, moved, scale, -back / scale)
 
 
 def outline(one: Shown) -> None:

@@ -25,13 +25,12 @@ _one = threading.Lock()  # held while a picture is marched: the marcher itself u
 @dataclass(frozen=True, eq=False)
 class View:
     """What is to be drawn. key: other bytes for another picture. camera: to the scene as it was baked, whose units are `scale` world
-    units. clip: (nearest, farthest) along the view axis, and `shift`, what is added to that depth, in the scene's units."""
+    units. shift: what is added to the depth along its view axis, in the scene's units."""
 
     key: bytes
     scene: Scene
     camera: Camera
     scale: float
-    clip: tuple[float, float]
     shift: float = 0.0
 
 
@@ -88,7 +87,7 @@ class SlowPicture:
         try:
             for reduction in REDUCTIONS:
                 tell = self._tell(view, reduction)
-                frame = render_scene(view.scene, reduced(view.camera, reduction), settings, tell, view.clip)
+                frame = render_scene(view.scene, reduced(view.camera, reduction), settings, tell)
                 self._ready = as_textures(view, reduction, frame)
                 tell(1.0, "")
         except Cancelled:

@@ -45,8 +45,7 @@ def rendered(scene) -> np.ndarray:
 
 def wanted(scene, baked) -> np.ndarray:
     """What `snerg render` writes for the scene's camera."""
-    clip = scene.camera.data.clip_start, scene.camera.data.clip_end
-    return to_uint8(render_scene(baked, camera_from_blender(scene.camera, scene, evaluated(scene)), clip=clip).straight())
+    return to_uint8(render_scene(baked, camera_from_blender(scene.camera, scene, evaluated(scene))).straight())
 
 
 def same(got: np.ndarray, want: np.ndarray, most: float = 1.0) -> None:

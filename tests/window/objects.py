@@ -275,9 +275,15 @@ def forward_facing(window: Window, folder: str, pose: str) -> Walk:
     focal = view[0, 0] * region.width / 2, view[1, 1] * region.height / 2
     centre = region.width / 2 * (1 - view[0, 2]), region.height / 2 * (1 + view[1, 2])
     seen = part("core.geometry.camera").Camera(
-        region.width, region.height, focal, centre, np.array(data.view_matrix.inverted(), np.float64)
+        region.width,
+        region.height,
+        focal,
+        centre,
+        np.array(data.view_matrix.inverted(), np.float64),
+        near=space.clip_start,
+        far=space.clip_end,
     )
-    frame = part("core.rendering.render").render_scene(scene, seen, clip=(space.clip_start, space.clip_end))
+    frame = part("core.rendering.render").render_scene(scene, seen)
     wanted = np.concatenate([frame.colour, frame.alpha[..., None]], axis=-1)[::-1]
     error = 255 * np.abs(np.clip(drawn, 0, 1) - np.clip(wanted, 0, 1))
     window.seen["difference"] = [float(np.percentile(error, 99.9)), float(error.mean()), float(wanted[..., 3].mean())]

@@ -360,7 +360,7 @@ def test_what_two_clip_planes_cut_apart_is_the_whole(ndc):
     cosines = (camera.rays()[1] @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
     axis_depth = whole.depth * cosines
     cut = float(np.median(axis_depth[whole.alpha > 0.5]))
-    front, back = (render_scene(scene, camera, clip=clip) for clip in ((0.0, cut), (cut, 1e6)))
+    front, back = (render_scene(scene, replace(camera, near=near, far=far)) for near, far in ((0.0, cut), (cut, 1e6)))
     assert (front.alpha > 0.1).mean() > 0 and (back.alpha > 0.1).mean() > 0
     assert (front.depth * cosines)[front.alpha > 0].max() <= cut * (1 + 1e-5)
     assert (back.depth * cosines)[back.alpha > 0].min() >= cut * (1 - 1e-5)
