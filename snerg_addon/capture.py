@@ -24,7 +24,7 @@ from ..core.io.images import read_image, read_size
 from ..core.progress import Progress, silent
 from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene, colour_settings, layer_warning
-from .render_evaluation import render, temporary_camera
+from .render_evaluation import escaped, render, temporary_camera
 from .render_passes import check_passes, enable_light, file_extra, frame_extra, pass_files, write_passes
 from .shots import Shot, camera_of, evaluated_shots, frame_of, listed
 from .view_check import mismatch, why_clear
@@ -318,8 +318,3 @@ def render_view(
     if read_size(path) != (camera.width, camera.height):
         raise SnergError(f"Blender rendered {camera.name!r} at another size than the scene's resolution; turn off what crops it.")
     return recorded
-
-
-def escaped(path: Path) -> str:
-    """A path in which Blender fills in nothing: it reads braces as a template from 4.5 on."""
-    return str(path).replace("{", "{{").replace("}", "}}") if bpy.app.version >= (4, 5, 0) else str(path)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import bpy
@@ -162,6 +163,11 @@ def depend_on(camera: bpy.types.Object, needed: Sequence[bpy.types.Object]) -> N
             driver.type = "SUM"
             target = driver.variables.new().targets[0]
             target.id_type, target.id, target.data_path = "CAMERA", thing.data, "lens"
+
+
+def escaped(path: Path) -> str:
+    """A path in which Blender fills in nothing: it reads braces as a template."""
+    return str(path).replace("{", "{{").replace("}", "}}")
 
 
 def render(scene: bpy.types.Scene, **options: Any) -> None:

@@ -13,7 +13,7 @@ from ..core.geometry.camera import Camera
 from ..core.io.exr import has_openimageio, read_channels
 from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene
-from .render_evaluation import evaluate_render, render, temporary_camera
+from .render_evaluation import escaped, evaluate_render, render, temporary_camera
 from .rendered import corners_of, rendered_instances
 
 CHECKED = 96  # pixels of the longer side of the depth images that are compared
@@ -143,7 +143,7 @@ def render_depth(scene: bpy.types.Scene, frame: int | None, camera: Camera, sett
         if hasattr(image, "use_exr_interleave"):
             image.use_exr_interleave = True  # one part: Blender 5.0 cannot write several with a pixel aspect other than 1
         path = Path(room) / "depth.exr"
-        copy.render.filepath = str(path).replace("{", "{{").replace("}", "}}")
+        copy.render.filepath = escaped(path)
         if frame is not None:
             copy.frame_current, copy.frame_subframe = frame, 0.0
         if copy.render.engine == "CYCLES":
