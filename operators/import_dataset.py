@@ -10,11 +10,10 @@ import bpy
 import numpy as np
 
 from ..core.data.dataset import Dataset, DatasetOptions, View
-from ..core.data.image_resolver import find_image
 from ..core.data.load import read_dataset
-from ..core.data.readers.transforms import read_cameras
+from ..core.data.readers.transforms import has_pictures, read_cameras
 from ..core.geometry.camera import Camera
-from ..core.io.files import read_json
+from ..core.io.files import read_edited_json
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
@@ -73,15 +72,13 @@ def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict
 def bare_splits(path: Path) -> dict[str, tuple[Camera, ...]]:
     """The cameras of each transforms_<split>.json of the folder `path`, but for training, that lists no picture which exists.
 
-    BlenderNeRF, for one, writes test cameras without pictures. Raises SnergError where such a file is damaged.
+    BlenderNeRF, for one, writes test cameras without pictures. Raises SnergError where such cameras are damaged.
     """
     found = {}
     for file in sorted(path.glob("transforms_*.json")):
-        split, value = file.stem.removeprefix("transforms_"), read_json(file)
-        frames = value.get("frames") if isinstance(value, dict) else None
-        names = [str(frame.get("file_path")) for frame in frames if isinstance(frame, dict)] if isinstance(frames, list) else [""]
-        if split != "train" and not any(find_image(path, name, str(file)) for name in names):
-            found[split] = read_cameras(file) if names else ()
+        split = file.stem.removeprefix("transforms_")
+        if split != "train" and not has_pictures(file):
+            found[split] = read_cameras(file) if read_edited_json(file)["frames"] else ()
     return found
 
 
