@@ -23,6 +23,17 @@ def addon() -> Iterator[None]:
 
 
 @pytest.fixture
+def preference(monkeypatch: pytest.MonkeyPatch, scene: Any) -> Any:
+    """A function that gives a preference of the add-on a value: Blender as a module has no add-on preferences of a source tree."""
+    from snerg.snerg_addon import preferences
+
+    def choose(chosen: str, value: Any) -> None:
+        monkeypatch.setattr(preferences, "_chosen", lambda name, otherwise: value if name == chosen else otherwise)
+
+    return choose
+
+
+@pytest.fixture
 def scene(addon: None, tmp_path: Path) -> Any:
     """An empty scene with a white world and fast render settings, whose project is in the test's temporary folder."""
     emptied = (bpy.data.objects, bpy.data.collections, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights)

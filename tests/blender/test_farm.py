@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import socket
 import time
 from pathlib import Path
@@ -14,21 +13,15 @@ from farm import a_manager, arguments
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
 from snerg.operators.farm_frames import frame_numbers, is_whole
-from snerg.snerg_addon import flamenco
+from snerg.snerg_addon import flamenco, preferences
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.scene_object import folder_of, make
 
-preferences = importlib.import_module("snerg.snerg_addon.preferences")
-
 
 @pytest.fixture
-def chosen(monkeypatch, scene):
-    """Names a Manager in the preferences. Blender as a module has no add-on preferences of a source tree."""
-
-    def choose(url: str) -> None:
-        monkeypatch.setattr(preferences, "_chosen", lambda name, otherwise: url if name == "flamenco_url" else otherwise)
-
-    yield choose
+def chosen(preference):
+    """Names a Manager in the preferences."""
+    yield lambda url: preference("flamenco_url", url)
     flamenco.stop()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 import time
@@ -13,17 +12,11 @@ from snerg.core.errors import SnergError
 from snerg.core.jobs.runner import IMPORT_PATH
 from snerg.snerg_addon import training_python
 
-preferences = importlib.import_module("snerg.snerg_addon.preferences")
-
 
 @pytest.fixture
-def chosen(monkeypatch, scene):
-    """Names a Python in the preferences. Blender as a module has no add-on preferences of a source tree."""
-
-    def choose(path: str) -> None:
-        monkeypatch.setattr(preferences, "_chosen", lambda name, otherwise: path if name == "training_python" else otherwise)
-
-    yield choose
+def chosen(preference):
+    """Names a Python in the preferences."""
+    yield lambda path: preference("training_python", path)
     training_python.stop()
 
 
