@@ -16,6 +16,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.images import read_image, read_mask, read_size, reduced
 from .depth import DepthFile, read_depth, read_pass
+from .opacity import Opacity
 
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
@@ -37,6 +38,8 @@ class View:
     image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
     depth: DepthFile | None = None  # the depth image that the source names
     passes: Mapping[str, Path] = field(default_factory=dict)  # other passes of a renderer by name: 'normal', 'diffuse', 'glossy'
+    crop_radius: float | None = None  # image pixels around its middle outside of which the image shows nothing
+    opacity: Opacity | None = None  # what makes pixels transparent beside the image's own alpha
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,8 @@ class Dataset:
         Raises SnergError when it cannot be read, or is not as large as when the dataset was read.
         """
         view = self.views[index]
-        pixels = reduced(read_image(view.image, upright=True) if view.upright else read_image(view.image), view.factor)
+        pixels = read_image(view.image, upright=True) if view.upright else read_image(view.image)
+        pixels = reduced(pixels if view.opacity is None else view.opacity.applied(pixels, view.upright), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels
@@ -96,11 +100,14 @@ class Dataset:
     def mask(self, index: int) -> NDArray[Any] | None:
         """The pixels of view `index` to train on, bool [H, W]; None for all of them.
 
-        Pixels that the mask hides are excluded, and those for which the distortion model is not valid (see Camera.valid_pixels).
-        Raises SnergError when the mask cannot be read.
+        Pixels that the mask hides are excluded, those outside of the crop radius, and those for which the distortion model is not valid
+        (see Camera.valid_pixels). Raises SnergError when the mask cannot be read.
         """
         view = self.views[index]
         valid = view.camera.valid_pixels()
+        if view.crop_radius is not None:
+            inside = _circle(view.camera, view.crop_radius / view.factor)
+            valid = inside if valid is None else valid & inside
         if view.mask is None:
             return valid
         width, height, factor = view.camera.width, view.camera.height, view.factor
@@ -164,6 +171,13 @@ class Source:
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
     notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired
+    up: NDArray[Any] | None = None  # [3] unit vector, the up direction of photographs that the source states; None: found from the cameras
+
+
+def _circle(camera: Camera, radius: float) -> NDArray[Any]:
+    """The pixels of a camera's image within `radius` pixels of its middle, bool [H, W]."""
+    across, down = np.arange(camera.width) + 0.5 - camera.width / 2, np.arange(camera.height) + 0.5 - camera.height / 2
+    return np.asarray(np.hypot(across[None], down[:, None]) <= radius)
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:

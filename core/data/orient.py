@@ -39,7 +39,7 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
     spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=-1).max())
     if not (np.isfinite(centre).all() and spread > 1e-9 * max(distance, 1e-9) and distance > 0):
         raise SnergError(f"All photographs of {source.root} were taken from one place; depth needs several places.")
-    rotation = upright(upward(cameras), np.stack([-c.camera_to_world[:3, 2] for c in cameras]))
+    rotation = upright(upward(cameras) if source.up is None else source.up, np.stack([-c.camera_to_world[:3, 2] for c in cameras]))
     similarity = np.eye(4)
     similarity[:3, :3] = rotation * (DISTANCE / distance)
     similarity[:3, 3] = -similarity[:3, :3] @ centre

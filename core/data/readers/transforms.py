@@ -25,6 +25,7 @@ from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, UnsupportedLens, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
+from .dialects import UPRIGHT, check_keys, check_rays, crop_radius, kept_frames, opacity_of, remarks, stated_up
 from .ply import read_ply
 
 LENSES = {
@@ -34,6 +35,7 @@ LENSES = {
 OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
 POSES = ("transform_matrix_start", "transform_matrix")  # the first: instant-ngp's, where a camera moves during the exposure
 OURS = ("snerg_box", "snerg_render")  # keys of files that SNeRG's renders have: their world is Blender's
+LENS_KEYS = ("fl_x", "camera_model")  # keys of files of photographs
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # splits and nerfstudio's keys for them
 NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
 
@@ -61,6 +63,8 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
 
 def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
     value, frames = read_frames(file)
+    check_keys(file, value, [str(frame.get("file_path")) for frame in frames])
+    frames, said = kept_frames(file, value, frames)
     views, notes = read_frames_with_lenses(file, value, frames)
     there = tuple(view for view in views if view is not None)
     if not there:
@@ -68,9 +72,9 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
     splits: dict[str, list[int]] | None
     splits = {split: list(range(len(there)))} if names else listed_splits(file, value, frames, views)
     points, colours = read_points(file, value)
-    photographs = (
-        not names and not any(key in value for key in OURS) and any("fl_x" in v or "camera_model" in v for v in (value, frames[0]))
-    )
+    up = stated_up(file, value)
+    lens = any(key in v for key in LENS_KEYS for v in (value, frames[0]))
+    photographs = not names and not any(key in value for key in OURS) and (lens or (up is not None and not np.allclose(up, UPRIGHT)))
     return Source(
         root=file.parent,
         kind="transforms",
@@ -84,7 +88,8 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         half_extent=read_half_extent(file, value),
         factor=options.downscale,
         skipped_frames=len(views) - len(there) - len(notes),
-        notes=notes,
+        notes=said + remarks(file, value, frames) + notes,
+        up=up,
     )
 
 
@@ -175,9 +180,13 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
         given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
     size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
     camera = read_camera(value, frame, size, where, name=image.stem)
+    check_rays(value, image, where)
     mask, hides = find_mask(file.parent, value, frame, image, where)
-    depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
-    return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright)
+    crop = crop_radius(merged, size[0] / given[0], where)
+    opacity = opacity_of(value, image)
+    depth = depth_of_frame(file.parent, value, frame) if value.get("enable_depth_loading", True) else None
+    passes = passes_of_frame(file.parent, frame)
+    return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright, crop_radius=crop, opacity=opacity)
 
 
 def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
@@ -206,9 +215,9 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{where} has no transform_matrix of 4 x 4 numbers; every frame needs a pose.") from error
     merged = {**value, **frame}
-    for axis in "xy":  # a frame's own field of view comes before the file's focal length
-        if any(key in frame for key in (f"camera_angle_{axis}", f"{axis}_fov")) and f"fl_{axis}" not in frame:
-            merged.pop(f"fl_{axis}", None)
+    for axis in "xy":  # what the frame gives comes before what the file gives, by whichever key
+        if any(key in frame for key in _focal_keys(axis)):
+            merged = {key: given for key, given in merged.items() if key in frame or key not in _focal_keys(axis)}
     try:
         return _camera(merged, size, pose, where, name)
     except (TypeError, ValueError, OverflowError) as error:
@@ -236,14 +245,22 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
     )
 
 
+def _focal_keys(axis: str) -> tuple[str, str, str]:
+    return f"{axis}_fov", f"fl_{axis}", f"camera_angle_{axis}"
+
+
 def _focal(value: dict[str, Any], axis: str, pixels: float, where: str) -> float | None:
-    """The focal length in pixels along 'x' or 'y': fl_<axis>, <axis>_fov (degrees) or camera_angle_<axis> (radians), else None."""
-    if f"fl_{axis}" in value:
-        return float(value[f"fl_{axis}"]) or -1.0  # 0 is not 'not given': Camera refuses both
-    if f"{axis}_fov" in value:
-        return focal_from_angle(math.radians(float(value[f"{axis}_fov"])), 1, where) * pixels
-    if f"camera_angle_{axis}" in value and (axis == "x" or "camera_angle_x" not in value):
-        return focal_from_angle(float(value[f"camera_angle_{axis}"]), 1, where) * pixels
+    """The focal length in pixels along 'x' or 'y': <axis>_fov (degrees), fl_<axis> or camera_angle_<axis> (radians), else None.
+
+    The first of these that is there counts, as in instant-ngp, which is the tool that has them all.
+    """
+    degrees, focal, radians = _focal_keys(axis)
+    if degrees in value:
+        return focal_from_angle(math.radians(float(value[degrees])), 1, where) * pixels
+    if focal in value:
+        return float(value[focal]) or -1.0  # 0 is not 'not given': Camera refuses both
+    if radians in value:
+        return focal_from_angle(float(value[radians]), 1, where) * pixels
     return None
 
 
@@ -254,15 +271,29 @@ def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
     if named not in LENSES or other:
         lens = other[0] if other else named
         raise UnsupportedLens(f"{where} has the lens {lens}, which is not supported; undistort the images first.")
-    if value.get("from_mitsuba"):
-        raise SnergError(f"{where} has from_mitsuba, whose axes are not supported; turn its poses to OpenGL's axes and take the key out.")
-    if any(float(x) for x in value.get("rolling_shutter", ()) or ()):
+    ends = value.get("transform_matrix_end")  # without it the camera stands still while the shutter rolls
+    moves = ends is not None and ends != next((value[key] for key in POSES if key in value), None)
+    if moves and any(float(x) for x in value.get("rolling_shutter", ()) or ()):
         raise SnergError(f"{where} has a rolling_shutter, which is not supported; take the key out to read the images as still ones.")
     model = "fisheye" if value.get("is_fisheye") else LENSES[named]
+    value = {**value, **listed_distortion(value, where)}
     if model == "opencv" and named != "FULL_OPENCV" and value.get("k4") and not any(key in value for key in ("k5", "k6")):
         model = "nerfstudio"  # whose k4 is the factor of r^8; OpenCV's is of the denominator and comes with k5 and k6
     coefficients = tuple(float(value.get(key, 0)) for key in MODELS[model])
     return Distortion(model, coefficients) if model == "fisheye" or any(coefficients) else None
+
+
+def listed_distortion(value: dict[str, Any], where: str) -> dict[str, float]:
+    """The coefficients of nerfstudio's distortion_params by their names, which come before single ones; nothing without the key.
+
+    Raises SnergError, which begins with `where`, when there are more than MODELS["nerfstudio"] has, as of its lens FISHEYE624.
+    """
+    listed, names = value.get("distortion_params"), MODELS["nerfstudio"]
+    if listed is None:
+        return {}
+    if not isinstance(listed, list) or len(listed) > len(names):
+        raise SnergError(f"{where} has distortion_params other than {', '.join(names)}; undistort the images first.")
+    return dict(zip(names, [*map(float, listed), *[0.0] * len(names)], strict=False))
 
 
 def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]], views: list[View | None]) -> dict[str, list[int]] | None:

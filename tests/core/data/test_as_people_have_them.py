@@ -179,13 +179,6 @@ def test_fields_of_view_of_instant_ngp(tmp_path, key):
     assert np.allclose(read_dataset(tmp_path, options=ALL).cameras[0].focal, across / 2 / np.tan(0.4))
 
 
-@pytest.mark.parametrize("key", ["from_mitsuba", "rolling_shutter"])
-def test_keys_that_are_refused_by_name(tmp_path, key):
-    write_ngp(tmp_path, ring(8), **{key: True if key == "from_mitsuba" else [0, 0.1, 0, 0]})
-    with pytest.raises(SnergError, match=key):
-        read_dataset(tmp_path, options=ALL)
-
-
 def test_one_panorama_is_left_out_and_named(tmp_path):
     write_nerfstudio(tmp_path, ring(8))
     edit(tmp_path, lambda v: v["frames"][2].update(camera_model="EQUIRECTANGULAR"))
