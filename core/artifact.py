@@ -9,7 +9,7 @@ from typing import Any
 
 from .data.dataset import Dataset
 from .data.load import read_dataset
-from .data.readers import colmap, llff, transforms
+from .data.readers import colmap, llff, sdfstudio, transforms
 from .data.readers.others import check_supported
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
@@ -100,7 +100,7 @@ def check_kind(path: Path, wanted: tuple[str, ...], noun: str) -> Path:
 def is_dataset(path: Path) -> bool:
     """Whether one of the readers knows the format of a capture at `path`. Its files are not read."""
     try:
-        return transforms.is_transforms(path) or llff.is_llff(path) or colmap.is_colmap(path)
+        return sdfstudio.is_sdfstudio(path) or transforms.is_transforms(path) or llff.is_llff(path) or colmap.is_colmap(path)
     except OSError:
         return False  # no permission to list the folder
 

@@ -107,6 +107,11 @@ def _listing(folder: Path) -> dict[str, list[str]]:
         return {}
 
 
+def folders_in(root: Path, names: tuple[str, ...]) -> list[Path]:
+    """The folders in `root` that are called one of `names`, which are in lower case, ignoring theirs; in the order of `names`."""
+    return [root / real for name in names for real in _listing(root).get(name, []) if (root / real).is_dir()]
+
+
 @lru_cache(maxsize=64)
 def _names(folder: Path, _changed: int) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
+from .masks import unused_masks
 from .orient import orient
-from .readers import colmap, llff, transforms
+from .readers import colmap, llff, sdfstudio, transforms
 from .readers.others import check_supported
 
 DEFAULT_OPTIONS = DatasetOptions()
@@ -43,6 +44,8 @@ def read_split(dataset: Dataset, split: str) -> Dataset:
 
 def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
     source = read_source(path, split, options)
+    if len(source.names) < 2 and (said := unused_masks(source.root, source.views)):  # else they may be of other splits
+        source = replace(source, notes=(*source.notes, said))
     _split(source, split, options)  # before it is oriented, which needs several views
     source, similarity = orient(source) if source.photographs else (source, np.eye(4))
     return _dataset(source, split, options, similarity)
@@ -82,6 +85,8 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
     """
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
+    if sdfstudio.is_sdfstudio(path):
+        return sdfstudio.read_sdfstudio(path, split, options)
     if transforms.is_transforms(path):
         return transforms.read_transforms(path, split, options)
     if llff.is_llff(path):

@@ -62,7 +62,16 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
 
 
 def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
-    value, frames = read_frames(file)
+    return source_of(file, *read_frames(file), names, split, options)
+
+
+def source_of(
+    file: Path, value: dict[str, Any], frames: list[dict[str, Any]], names: tuple[str, ...], split: str, options: DatasetOptions
+) -> Source:
+    """What a transforms file describes. value: the whole file; names: of all splits, where each has a file of its own.
+
+    Raises SnergError as `read_transforms`.
+    """
     check_keys(file, value, [str(frame.get("file_path")) for frame in frames])
     frames, said = kept_frames(file, value, frames)
     views, notes = read_frames_with_lenses(file, value, frames)

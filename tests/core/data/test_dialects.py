@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,10 +17,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from captures import ring, write_ngp
+from captures import ring, thing, write_colmap, write_ngp
 
+from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import Dataset, DatasetOptions
-from snerg.core.data.load import read_dataset
+from snerg.core.data.load import read_dataset, read_split
 from snerg.core.errors import SnergError
 from snerg.core.io.images import write_png
 
@@ -267,3 +270,168 @@ def test_it_is_refused_by_name(tmp_path, key):
 def test_it_is_said_that_it_has_no_effect(tmp_path, key):
     dataset = read_dataset(written(tmp_path, key), options=ALL)
     assert len(dataset.views) == 4 and any(re.search(rf"\b{key.name}\b.*no effect", note) for note in dataset.remarks())
+
+
+def sparse(folder: Path) -> Path:
+    return folder / "sparse" / "0"
+
+
+def model_written(folder: Path, binary: bool = False, count: int = 4) -> Path:
+    """A COLMAP model of pictures of 24 x 18 pixels."""
+    return write_colmap(folder, ring(count), *thing(20, 0), model="PINHOLE", binary=binary)
+
+
+def with_lens(folder: Path, number: int, name: str, values: list[float], binary: bool) -> Path:
+    """The model with one camera of another lens."""
+    model_written(folder, binary)
+    if binary:
+        (sparse(folder) / "cameras.bin").write_bytes(struct.pack(f"<QIiQQ{len(values)}d", 1, 7, number, 24, 18, *values))
+    else:
+        (sparse(folder) / "cameras.txt").write_text(f"7 {name} 24 18 {' '.join(map(str, values))}\n")
+    return folder
+
+
+LENSES: list[tuple[str, int, tuple[str, tuple[float, ...]] | None]] = [  # by COLMAP's number: name, parameters, the lens or None: refused
+    ("SIMPLE_PINHOLE", 3, ("", ())),
+    ("PINHOLE", 4, ("", ())),
+    ("SIMPLE_RADIAL", 4, ("opencv", (0.1,))),
+    ("RADIAL", 5, ("opencv", (0.1, 0.2))),
+    ("OPENCV", 8, ("opencv", (0.1, 0.2, 0.3, 0.4))),
+    ("OPENCV_FISHEYE", 8, ("fisheye", (0.1, 0.2, 0.3, 0.4))),
+    ("FULL_OPENCV", 12, ("opencv", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8))),
+    ("FOV", 5, None),
+    ("SIMPLE_RADIAL_FISHEYE", 4, ("fisheye", (0.1,))),
+    ("RADIAL_FISHEYE", 5, ("fisheye", (0.1, 0.2))),
+    ("THIN_PRISM_FISHEYE", 12, None),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16, None),
+    ("SIMPLE_DIVISION", 4, None),
+    ("DIVISION", 5, None),
+    ("SIMPLE_FISHEYE", 3, ("fisheye", ())),
+    ("FISHEYE", 4, ("fisheye", ())),
+    ("EUCM", 6, None),
+    ("EQUIRECTANGULAR", 2, None),
+]
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION", "SIMPLE_FISHEYE")
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+@pytest.mark.parametrize("number", range(len(LENSES)), ids=[name for name, *_ in LENSES])
+def test_the_lenses_of_colmap(tmp_path, number, binary):
+    name, count, expected = LENSES[number]
+    first = [20.0, 12.5, 8.5] if name in ONE_FOCAL else [20.0, 21.0, 12.5, 8.5]
+    values = [*first, *(0.1 * (i + 1) for i in range(12))][:count]
+    with_lens(tmp_path, number, name, values, binary)
+    if expected is None:
+        with pytest.raises(SnergError, match=rf"\b{name}\b"):
+            read_dataset(tmp_path, options=ALL)
+        return
+    camera = read_dataset(tmp_path, options=ALL).cameras[0]
+    assert camera.focal == (20, 20 if name in ONE_FOCAL else 21) and camera.centre == (12.5, 8.5)
+    found = camera.distortion
+    if expected == ("", ()):
+        assert found is None
+    else:
+        assert found.model == expected[0] and np.allclose(found.coefficients[: len(expected[1])], expected[1])
+
+
+def test_rigs_and_frames_of_colmap_leave_the_poses(tmp_path):
+    model_written(tmp_path / "a", binary=True)
+    model_written(tmp_path / "b", binary=True)
+    for name in ("rigs", "frames"):
+        (sparse(tmp_path / "b") / f"{name}.bin").write_bytes(struct.pack("<QIIiI", 1, 1, 1, 0, 7))
+    plain, rig = (read_dataset(tmp_path / name, options=ALL) for name in "ab")
+    assert all(np.allclose(a.camera_to_world, b.camera_to_world) for a, b in zip(plain.cameras, rig.cameras, strict=True))
+
+
+def test_points_of_gaussian_splatting_stand_for_those_of_the_model(tmp_path):
+    model_written(tmp_path)
+    (sparse(tmp_path) / "points3D.txt").unlink()
+    (sparse(tmp_path) / "points3D.ply").write_bytes(POINTS)
+    dataset = read_dataset(tmp_path, options=ALL)
+    assert len(dataset.points) == 1 and dataset.bounds is None
+
+
+@pytest.mark.parametrize(
+    ("file", "lines", "expected"),
+    [
+        ("train_list.txt", "000.png\n002.png\n", {"train": ["000", "002"]}),
+        ("test_list.txt", "003.png\n", {"train": ["000", "001", "002"], "test": ["003"]}),
+        ("validation_list.txt", "003.png\n", {"train": ["000", "001", "002"], "val": ["003"]}),
+        ("sparse/0/test.txt", "001.png\n", {"train": ["000", "002", "003"], "test": ["001"]}),
+        ("sparse/0/test.txt", "\n", {"train": ["000", "001", "002", "003"]}),
+        ("test_list.txt", "009.png\n", None),
+    ],
+    ids=lambda value: value if isinstance(value, str) and "/" not in value else None,
+)
+def test_lists_of_splits(tmp_path, file, lines, expected):
+    (model_written(tmp_path) / file).write_text(lines)
+    if expected is None:
+        with pytest.raises(SnergError, match=r"test_list\.txt names 009"):
+            read_dataset(tmp_path, options=ALL)
+        return
+    dataset = read_dataset(tmp_path, options=ALL)
+    assert {split: names(read_split(dataset, split)) for split in dataset.splits()} == expected
+
+
+@pytest.mark.parametrize(
+    "mask",
+    [
+        "masks/000.png.png",
+        "masks/000.png",
+        "masks/000.JPG",
+        "Masks/000_mask.png",
+        "mask/000.png.mask.png",
+        "images/000_mask.png",
+        "images/000.png.mask.png",
+    ],
+)
+def test_masks_as_tools_name_them(tmp_path, mask):
+    write_png(model_written(tmp_path) / mask, HALF)
+    dataset = read_dataset(tmp_path, options=ALL)
+    assert dataset.mask(0)[9:].all() and not dataset.mask(0)[:9].any() and dataset.mask(1) is None and not dataset.remarks()
+
+
+def test_what_is_passed_over_is_said(tmp_path):
+    write_png(model_written(tmp_path / "colmap") / "masks" / "009.png", WHITE)
+    (sparse(tmp_path / "colmap") / "depth_params.json").write_text("{}")
+    write_png(write_ngp(tmp_path / "ngp", ring(4)) / "masks" / "000.png", WHITE)
+    said = " ".join(read_dataset(tmp_path / "colmap", options=ALL).remarks())
+    assert "depth_params.json" in said and "1 of the 1 masks" in said and "009.png" in said
+    assert "masks" in " ".join(read_dataset(tmp_path / "ngp", options=ALL).remarks())
+
+
+def sdfstudio(folder: Path, **frame: Any) -> Path:
+    write_ngp(folder, ring(4))
+    (folder / "transforms.json").unlink()
+    frames = []
+    for camera in ring(4):
+        lens = np.eye(4)
+        lens[:2, :3] = [[26, 0, 12.5], [0, 27, 8.8]]
+        pose = camera.camera_to_world * [1, -1, -1, 1]
+        frames.append({"rgb_path": f"images/{camera.name}.png", "camtoworld": pose.tolist(), "intrinsics": lens.tolist(), **frame})
+    box = {"aabb": [[-1, -1, -1], [1, 1, 1]], "near": 0.1, "far": 5, "radius": 1, "collider_type": "near_far"}
+    value = {"camera_model": "OPENCV", "height": 18, "width": 24, "has_mono_prior": False, "scene_box": box, "frames": frames}
+    (folder / "meta_data.json").write_text(json.dumps(value))
+    return folder
+
+
+def test_a_dataset_of_sdfstudio(tmp_path):
+    other = write_ngp(tmp_path / "ngp", ring(4), aabb_scale=2, scale=1)
+    write_png(tmp_path / "sdf" / "m.png", HALF)
+    mine = read_dataset(sdfstudio(tmp_path / "sdf", foreground_mask="m.png", mono_depth_path="d.npy"), options=ALL)
+    for a, b in zip(mine.cameras, read_dataset(other, options=ALL).cameras, strict=True):
+        assert np.allclose(a.camera_to_world, b.camera_to_world) and (a.focal, a.centre) == (b.focal, b.centre)
+    assert np.allclose(mine.box.corners(), read_dataset(other, options=ALL).box.corners())
+    assert mine.mask(0)[9:].all() and not mine.mask(0)[:9].any() and "no effect" in mine.notes[0]
+    assert kind_of(tmp_path / "sdf") == "dataset" and len(read_dataset(tmp_path / "sdf" / "meta_data.json", options=ALL).views) == 4
+    (sdfstudio(tmp_path / "bad", camtoworld=3) / "x").touch()
+    with pytest.raises(SnergError, match="frame 0 has no camtoworld"):
+        read_dataset(tmp_path / "bad", options=ALL)
+
+
+def test_phototourism_is_a_dense_model(tmp_path):
+    model_written(tmp_path / "made")
+    (tmp_path / "dense").mkdir()
+    shutil.move(sparse(tmp_path / "made"), tmp_path / "dense" / "sparse")
+    shutil.move(tmp_path / "made" / "images", tmp_path / "dense" / "images")
+    assert len(read_dataset(tmp_path, options=ALL).views) == 4
