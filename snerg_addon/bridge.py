@@ -107,8 +107,13 @@ def set_picture(scene: bpy.types.Scene, source: Camera) -> None:
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
 
 
-def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int]) -> None:
-    """Show an image of `size` (width, height) as the background of a camera that `set_camera` set, across the full width of its view."""
+def add_background(
+    camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int], turn: tuple[int, bool] = (0, False)
+) -> None:
+    """Show an image of `size` (width, height) as the background of a camera that `set_camera` set, across the full width of its view.
+
+    turn: how Blender, which ignores EXIF, must turn the image so that it has that size (see `images.quarter_turn`).
+    """
     width, height = resolution(scene)
     aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x  # Blender treats the image's pixels as square
     taller = size[1] / size[0] - height * aspect / width
@@ -116,6 +121,10 @@ def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene,
     background.image = bpy.data.images.load(str(path), check_existing=True)  # the pixels are read when the image is first shown
     background.alpha, background.display_depth = 1.0, "BACK"
     background.frame_method = "STRETCH" if size == (width, height) else "CROP" if taller > 0 else "FIT"
+    if turn[0]:
+        background.rotation, background.use_flip_x = turn[0] * math.pi / 2, turn[1]  # positive is clockwise
+        background.frame_method = "FIT"  # of the image as it is stored, before it is turned
+        background.scale = max(size[1] / size[0], width / (height * aspect))
     camera.data.show_background_images = True
 
 

@@ -27,6 +27,7 @@ MAX_BYTES = 2**31  # of an image's file
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+TURNS = {5: (-1, True), 6: (1, False), 7: (1, True), 8: (-1, False)}  # these orientations as (quarter turns clockwise, mirrored first)
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
@@ -44,6 +45,15 @@ def lies_down(path: Path) -> bool:
         return False
     with _open(path, header=True) as image, reading(path, "write it again", f"The image {path}"):
         return image.getexif().get(ExifTags.Base.Orientation) in QUARTER_TURNS
+
+
+def quarter_turn(path: Path) -> tuple[int, bool]:
+    """How the EXIF orientation of an image that `lies_down` turns it up: (quarter turns clockwise, whether it is mirrored first, left to
+    right); (0, False) for other images."""
+    if path.suffix.lower() in LINEAR:
+        return 0, False
+    with _open(path, header=True) as image, reading(path, "write it again", f"The image {path}"):
+        return TURNS.get(image.getexif().get(ExifTags.Base.Orientation), (0, False))
 
 
 def read_image(path: Path, upright: bool = False) -> NDArray[Any]:
