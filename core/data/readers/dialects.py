@@ -62,7 +62,7 @@ def kept_frames(file: Path, value: dict[str, Any], frames: list[dict[str, Any]])
     It takes the first n_frames by name, and of those leaves out the ones less sharp than sharpness_discard_threshold times the mean
     sharpness of their neighbours. An empty file_path is that of the frame's number. Raises SnergError when these are not numbers.
     """
-    part = file.stem.rpartition("_")[2]
+    part = file.stem.rpartition("_")[2] if "_" in file.stem else ""
     frames = [
         {**frame, "file_path": f"{part}_{i:03d}/rgba.png"} if frame.get("file_path") == "" else frame for i, frame in enumerate(frames)
     ]

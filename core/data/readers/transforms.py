@@ -418,6 +418,7 @@ def read_cameras(path: str | os.PathLike[str], size: tuple[int | None, int | Non
 
 def _read_cameras(path: Path, wanted: tuple[int | None, int | None]) -> tuple[Camera, ...]:
     value, frames = read_frames(path)
+    check_keys(path, value, [])
     cameras = []
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"

@@ -22,6 +22,7 @@ from captures import ring, thing, write_colmap, write_ngp
 from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import Dataset, DatasetOptions
 from snerg.core.data.load import read_dataset, read_split
+from snerg.core.data.readers.transforms import read_cameras
 from snerg.core.errors import SnergError
 from snerg.core.io.images import write_png
 
@@ -264,6 +265,12 @@ def test_it_is_honoured(tmp_path, key):
 def test_it_is_refused_by_name(tmp_path, key):
     with pytest.raises(SnergError, match=re.escape(key.name)):
         read_dataset(written(tmp_path, key), options=ALL)
+
+
+def test_cameras_to_render_from_have_the_same_axes(tmp_path):
+    folder = written(tmp_path, Key(NGP, "from_mitsuba", {"from_mitsuba": True}))
+    with pytest.raises(SnergError, match="from_mitsuba"):
+        read_cameras(folder / "transforms.json")
 
 
 @pytest.mark.parametrize("key", SAID, ids=str)
