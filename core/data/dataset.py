@@ -20,10 +20,6 @@ from .depth import DepthFile, read_depth, read_pass
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
 
-class UnsupportedLens(SnergError):
-    """One camera has a lens that is not supported; the others of its dataset can still be read."""
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """One image, photographed or rendered, and the camera that took it."""

@@ -110,5 +110,6 @@ def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[in
     if split == "train" and len(splits[split]) < 2:
         raise SnergError(
             f"The dataset {source.root} has {len(splits[split])} image to train on; a scene needs several, from different places."
+            + "".join(f" {note}" for note in source.notes[-1:])
         )
     return splits[split], tuple(sorted(names, key=lambda n: n != "train"))

@@ -27,15 +27,20 @@ MAX_BYTES = 2**31  # of an image's file
 FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+ENDS = {"PNG": b"IEND", "JPEG": b"\xff\xd9"}  # the last part of each whole file
+TAIL = 4096  # bytes at the end of a file in which that part is looked for
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does."""
+    """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does, and for a file that was cut short."""
     if path.suffix.lower() in LINEAR:
         return _Linear(path).size
     with _open(path, header=True) as image:
-        return image.size
+        size, kind = image.size, str(image.format)
+    if kind in ENDS and ENDS[kind] not in _tail(path):
+        read_image(path)  # its last bytes are another program's, or missing: the decoder knows
+    return size
 
 
 def lies_down(path: Path) -> bool:
@@ -139,6 +144,13 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
         image.close()
         raise
     return image
+
+
+def _tail(path: Path) -> bytes:
+    """The last TAIL bytes of a file."""
+    with reading(path, "write it again", f"The image {path}"), open(path, "rb") as file:
+        file.seek(max(path.stat().st_size - TAIL, 0))
+        return file.read()
 
 
 def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:

@@ -22,9 +22,10 @@ from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, UnsupportedLens, View
+from ..dataset import DatasetOptions, Source, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
+from ..left_out import LeftOut, UnsupportedLens, about_one_view
 from .ply import read_ply
 
 LENSES = {
@@ -61,7 +62,7 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
 
 def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
     value, frames = read_frames(file)
-    views, notes = read_frames_with_lenses(file, value, frames)
+    views, left_out = read_views(file, value, frames)
     there = tuple(view for view in views if view is not None)
     if not there:
         raise SnergError(f"{file} lists {len(frames)} images, of which none exists; put them where the file says, or correct it.")
@@ -83,28 +84,26 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         colours=colours,
         half_extent=read_half_extent(file, value),
         factor=options.downscale,
-        skipped_frames=len(views) - len(there) - len(notes),
-        notes=notes,
+        skipped_frames=len(views) - len(there) - len(left_out.errors),
+        notes=left_out.notes(),
     )
 
 
-def read_frames_with_lenses(file: Path, value: dict[str, Any], frames: list[dict[str, Any]]) -> tuple[list[View | None], tuple[str, ...]]:
-    """The view of each frame, None where it has none (see `read_frame`), and a note for each that is left out for its lens.
+def read_views(file: Path, value: dict[str, Any], frames: list[dict[str, Any]]) -> tuple[list[View | None], LeftOut]:
+    """(the view of each frame, None where it has none or it cannot be used (see `read_frame`); those that cannot be used).
 
-    Raises SnergError as `read_frame` does, and for the lens when no frame has another.
+    Raises SnergError as `read_frame` does, and UnusableView when no frame can be used.
     """
     views: list[View | None] = []
-    refused: list[UnsupportedLens] = []
+    left_out = LeftOut()
     for index, frame in enumerate(frames):
-        try:
-            views.append(read_frame(file, value, frame, index, "aabb_scale" in value))
-        except UnsupportedLens as error:
-            refused.append(error)
-            views.append(None)
-    if refused and not any(views):
-        raise refused[0]
+        view = None
+        with left_out.reading():
+            view = read_frame(file, value, frame, index, "aabb_scale" in value)
+        views.append(view)
+    left_out.check([view for view in views if view is not None])
     check_distinct(((f["file_path"], v.image) for f, v in zip(frames, views, strict=True) if v is not None), str(file))
-    return views, tuple(f"{str(error).removesuffix('.')}; this image is left out." for error in refused)
+    return views, left_out
 
 
 def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
@@ -156,7 +155,8 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, skips_missing: bool) -> View | None:
     """The view of one frame: its camera, image and mask. value: the whole file; index: the frame's number, for errors.
 
-    None when the image does not exist and `skips_missing` is set. Raises SnergError when it is not set, and for invalid frames.
+    None when the image does not exist and `skips_missing` is set. Raises SnergError when it is not set, and UnusableView when the
+    image, pose or lens is invalid.
     """
     where = f"{file}, frame {index}"
     name = frame.get("file_path")
@@ -168,13 +168,14 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
             return None
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     merged = {**value, **frame}
-    stored = read_size(image)
-    try:
-        given = float(merged.get("w", stored[0])), float(merged.get("h", stored[1]))
-    except (TypeError, ValueError, OverflowError):
-        given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
-    size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
-    camera = read_camera(value, frame, size, where, name=image.stem)
+    with about_one_view():
+        stored = read_size(image)
+        try:
+            given = float(merged.get("w", stored[0])), float(merged.get("h", stored[1]))
+        except (TypeError, ValueError, OverflowError):
+            given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
+        size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
+        camera = read_camera(value, frame, size, where, name=image.stem)
     mask, hides = find_mask(file.parent, value, frame, image, where)
     depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
     return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright)
@@ -270,12 +271,11 @@ def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]
     keys = [split for split, key in SPLITS.items() if key in value]
     if not keys:
         return None
-    number: dict[str, int] = {}
+    number: dict[str, int | None] = {}
     there = 0
     for frame, view in zip(frames, views, strict=True):
-        if view is not None:
-            number[plain(frame["file_path"])] = there
-            there += 1
+        number[plain(frame["file_path"])] = there if view is not None else None
+        there += view is not None
     splits = {}
     for split in keys:
         names = value[SPLITS[split]]
@@ -284,7 +284,7 @@ def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]
         unknown = [n for n in names if plain(n) not in number]
         if unknown:
             raise SnergError(f"{file}: {SPLITS[split]} names {unknown[0]} and {len(unknown) - 1} more that are no frame's file_path.")
-        splits[split] = [number[plain(n)] for n in names]
+        splits[split] = [index for n in names if (index := number[plain(n)]) is not None]
     return splits
 
 
