@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
-from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
 from ...io.paths import inside

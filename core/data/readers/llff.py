@@ -40,8 +40,8 @@ def read_llff(path: Path, options: DatasetOptions) -> Source:
     if len(images) != len(table):
         posed = registered(root, folder, len(table))
         if posed:
-            left_out = len(set(images) - set(posed))
-            notes = (f"{left_out} photographs in {folder} have no pose, since the COLMAP model does not have them; they are left out.",)
+            unposed = len(set(images) - set(posed))
+            notes = (f"{unposed} photographs in {folder} have no pose, since the COLMAP model does not have them; they are left out.",)
             images = posed
     if len(images) != len(table):
         raise SnergError(f"{root / FILE} has {len(table)} poses, but {folder} has {len(images)} images; they must be as many.")

@@ -26,6 +26,7 @@ from ..dataset import DatasetOptions, Source, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
 from ..left_out import LeftOut, UnsupportedLens, about_one_view
+from .others import check_json
 from .ply import read_ply
 
 LENSES = {
@@ -145,6 +146,7 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     value = read_edited_json(file)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
+        check_json(file, value)
         raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
     for index, frame in enumerate(frames):
         if not isinstance(frame, dict):
@@ -427,22 +429,23 @@ def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
 
 
 def read_splat_cameras(value: list[Any], where: str) -> tuple[Camera, ...]:
-    """The cameras of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
-
-    Raises SnergError, which begins with `where`, when there is none or one is incomplete.
-    """
-    cameras = []
-    for index, item in enumerate(value):
-        here = f"{where}, camera {index}"
-        try:
-            pose = np.eye(4)
-            pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
-            pose[:3, 3] = np.array(item["position"], np.float64)
-            width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
-            name = Path(str(item.get("img_name", f"{index:05d}"))).stem
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-            raise SnergError(f"{here} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
-        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, name=name))
-    if not cameras:
+    """The cameras of Gaussian splatting's cameras.json (see `read_splat_camera`). Raises SnergError also when there is none."""
+    if not value:
         raise SnergError(f"{where} has no cameras; export it again.")
-    return tuple(cameras)
+    return tuple(read_splat_camera(item, f"{where}, camera {index}", f"{index:05d}") for index, item in enumerate(value))
+
+
+def read_splat_camera(item: Any, where: str, name: str = "") -> Camera:
+    """One camera of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
+
+    name: of a camera without img_name. Raises SnergError, which begins with `where`, when a value is missing or no number.
+    """
+    try:
+        pose = np.eye(4)
+        pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
+        pose[:3, 3] = np.array(item["position"], np.float64)
+        width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
+        name = Path(str(item.get("img_name", name))).stem
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise SnergError(f"{where} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
+    return Camera(width, height, focal, (width / 2, height / 2), pose, name=name)

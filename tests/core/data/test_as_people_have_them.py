@@ -255,10 +255,9 @@ def test_the_cameras_of_gaussian_splatting(tmp_path):
 @pytest.mark.parametrize(
     ("file", "content", "says"),
     [
-        ("keyframes/cameras/1.json", "{}", "Polycam.*polycam"),
-        ("EXR_RGBD/metadata.json", "{}", "Record3D.*record3d"),
-        ("cameras.xml", '<document version="1.2.0"><chunk label="a">', "Metashape.*COLMAP"),
-        ("cameras.csv", "#name,x,y,alt,heading,pitch,roll,f", "RealityCapture.*COLMAP"),
+        ("keyframes/depth/1.png", "", "Polycam.*raw data"),
+        ("EXR_RGBD/metadata.json", "{}", "Record3D.*EXR"),
+        ("scan.rsproj", "", "RealityCapture.*COLMAP"),
         ("scan.psx", "", "Metashape"),
         ("database.db", "", "mapper"),
         ("reconstruction.json", "[]", "OpenSfM"),
