@@ -22,6 +22,7 @@ from ..snerg_addon.project import Project
 from .import_operator import ImportOperator
 
 DISPLAY_SIZE = 0.05  # size of a camera in the viewport, as a fraction of its distance from the box's centre
+NOT_IN_BLENDER = (".avif", ".heic", ".heif", ".hif")  # suffixes of images that training reads and Blender does not
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
@@ -52,7 +53,8 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
-        return " ".join([f"Imported {views} from {result['path']}.", *parts[0].remarks(), *alone, *limitations(every)])
+        unseen = unseen_images([view.image for part in parts for view in part.views])
+        return " ".join([f"Imported {views} from {result['path']}.", *parts[0].remarks(), *alone, *limitations(every), *unseen])
 
 
 def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict[str, Any]:
@@ -130,6 +132,12 @@ def most_common(cameras: list[Camera]) -> Camera:
     sizes = Counter((camera.width, camera.height) for camera in cameras)
     size = sizes.most_common(1)[0][0]
     return next(camera for camera in cameras if (camera.width, camera.height) == size)
+
+
+def unseen_images(images: list[Path]) -> list[str]:
+    """A sentence about images that Blender cannot show as backgrounds; none where it shows all."""
+    count = sum(image.suffix.lower() in NOT_IN_BLENDER for image in images)
+    return [f"{count} images are AVIF or HEIC, which Blender does not show as backgrounds; training reads them."] if count else []
 
 
 def limitations(cameras: list[Camera]) -> list[str]:

@@ -16,7 +16,8 @@ from ..geometry.camera import Camera
 from ..io.images import lies_down, read_size
 from ..io.paths import inside
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif")  # in this order where one stem has several
+# In this order where one stem has several.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif", ".hif")
 ABSOLUTE = re.compile(r"/|[a-zA-Z]:/")  # how an absolute path begins, of this machine or another
 SPLIT_FOLDERS = ("train", "val", "test")  # whose pictures have the same names
 FOLDERS = ("input", "image", "imgs", "photos", "rgb")  # where tools keep photographs beside a folder 'images', in this order
