@@ -186,7 +186,7 @@ def focus_box(cameras: tuple[Camera, ...]) -> Box:
     centre, _ = focus(cameras)
     half_widths = []
     for camera in cameras:
-        tangent = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
+        tangent = 1.0 if camera.is_wide else max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
         distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position - centre))
         half_widths.append(tangent * distance)
     half = float(np.median(half_widths))

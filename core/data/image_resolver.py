@@ -148,7 +148,7 @@ def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **c
         )
     sx, sy = width / w, height / h
     (fx, fy), (cx, cy) = camera.pop("focal"), camera.pop("centre")
-    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera)
+    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera).widened()
 
 
 def image_folder(root: Path, downscale: int, where: str) -> tuple[Path, int]:

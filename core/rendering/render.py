@@ -100,7 +100,7 @@ def _seen_span(scene: Scene, camera: Camera, pixels: NDArray[Any]) -> tuple[NDAr
     if camera.near == 0 and camera.far == np.inf:
         return np.full(len(pixels), scene.near), None
     _, directions = camera.rays(pixels)
-    cosines = directions @ -camera.camera_to_world[:3, 2]
+    cosines = camera.cosines(directions)
     ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
     cosines = np.where(ahead, cosines, 1)
     far = None if camera.far == np.inf else np.where(ahead, camera.far / cosines, np.inf)

@@ -18,6 +18,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from ...errors import SnergError
+from ...geometry.camera import panorama_focal
 from ...geometry.distortion import Distortion
 from ..dataset import DatasetOptions, Source
 from ..image_resolver import image_folder
@@ -151,7 +152,7 @@ def _sensor(where: str, sensor: Element) -> Sensor:
 
 
 def _panorama(size: tuple[float, float]) -> Sensor:
-    raise UnsupportedLens("A spherical camera of Metashape is not supported; export it as cube faces.")
+    return Sensor(size, panorama_focal(*size), (size[0] / 2, size[1] / 2), None, "equirectangular")
 
 
 def _ignored(where: str, sensor: Element) -> str:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
+from ...geometry import wide
 from ...geometry.box import Box
-from ...geometry.camera import Camera, focal_from_angle
+from ...geometry.camera import Camera, focal_from_angle, panorama_focal
 from ...geometry.distortion import MODELS, Distortion
 from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
@@ -33,7 +34,11 @@ LENSES = {
     **dict.fromkeys(("", "PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), "opencv"),
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
-OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
+PANORAMA = "EQUIRECTANGULAR"  # nerfstudio's camera_model of a panorama; instant-ngp's is the key latlong
+OTHER_LENSES = {  # instant-ngp's keys for lenses that are not supported here, by what they are
+    "ftheta_p0": "an f-theta lens",
+    "equirectangular": "a cylindrical equal-area picture in instant-ngp, not a panorama of 360 x 180 degrees, whose key is latlong",
+}
 POSES = ("transform_matrix_start", "transform_matrix")  # the first: instant-ngp's, where a camera moves during the exposure
 OURS = ("snerg_box", "snerg_render")  # keys of files that SNeRG's renders have: their world is Blender's
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # splits and nerfstudio's keys for them
@@ -220,6 +225,11 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
 
 def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], where: str, name: str) -> Camera:
     width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
+    lens = read_lens(value, where)
+    if is_panorama(value):
+        check_panorama(value, width, height, where)
+        whole: dict[str, Any] = {"focal": panorama_focal(width, height), "centre": (width / 2, height / 2), "projection": "equirectangular"}
+        return scaled_to(size, (width, height), where, **whole, **_common(value, pose, name))
     focal_x, focal_y = _focal(value, "x", width, where), _focal(value, "y", height, where)
     if focal_x is None and focal_y is None:
         raise SnergError(f"{where} has neither camera_angle_x nor fl_x; a camera needs a field of view or a focal length.")
@@ -230,13 +240,33 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
         where,
         focal=(focal_x, focal_y),
         centre=(float(value.get("cx", width / 2)), float(value.get("cy", height / 2))),
-        camera_to_world=pose,
         projection=str(value.get("projection", "perspective")),
-        name=name,
-        near=float(value.get("near", 0)),
-        far=float(value.get("far", math.inf)),
-        distortion=read_lens(value, where),
+        distortion=lens,
+        widest=float(value.get("widest", math.pi)),
+        **_common(value, pose, name),
     )
+
+
+def _common(value: dict[str, Any], pose: NDArray[Any], name: str) -> dict[str, Any]:
+    """The arguments of Camera that do not depend on the projection."""
+    return {"camera_to_world": pose, "name": name, "near": float(value.get("near", 0)), "far": float(value.get("far", math.inf))}
+
+
+def is_panorama(value: dict[str, Any]) -> bool:
+    """Whether a file or frame describes a panorama."""
+    return str(value.get("camera_model", "")).upper() == PANORAMA or bool(value.get("latlong"))
+
+
+def check_panorama(value: dict[str, Any], width: float, height: float, where: str) -> None:
+    """Raise UnsupportedLens, which begins with `where`, unless a panorama of these pixels is whole: twice as wide as high.
+
+    It then shows 360 x 180 degrees, whatever its fl_x is: tools disagree about that.
+    """
+    if abs(width - 2 * height) > 0.02 * width:
+        lens = "latlong" if value.get("latlong") else PANORAMA
+        raise UnsupportedLens(
+            f"{where} has the lens {lens} and {width:g} x {height:g} pixels; only whole panoramas, twice as wide as high, are supported."
+        )
 
 
 def _focal(value: dict[str, Any], axis: str, pixels: float, where: str) -> float | None:
@@ -254,9 +284,14 @@ def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
     """The distortion that a file or frame describes; None for a pinhole camera. Raises SnergError when the lens is not supported."""
     named = str(value.get("camera_model", "")).upper()
     other = [key for key in OTHER_LENSES if value.get(key)]
-    if named not in LENSES or other:
-        lens = other[0] if other else named
-        raise UnsupportedLens(f"{where} has the lens {lens}, which is not supported; undistort the images first.")
+    if other:
+        raise UnsupportedLens(
+            f"{where} has the key {other[0]}, {OTHER_LENSES[other[0]]}, which is not supported; undistort the images first."
+        )
+    if is_panorama(value):
+        return None
+    if named not in LENSES:
+        raise UnsupportedLens(f"{where} has the lens {named}, which is not supported; undistort the images first.")
     if value.get("from_mitsuba"):
         raise SnergError(f"{where} has from_mitsuba, whose axes are not supported; turn its poses to OpenGL's axes and take the key out.")
     if any(float(x) for x in value.get("rolling_shutter", ()) or ()):
@@ -353,8 +388,14 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
     if camera.distortion is not None:
         value["camera_model"] = "OPENCV_FISHEYE" if camera.distortion.model == "fisheye" else "OPENCV"  # 'nerfstudio' has no k5, k6
         value |= dict(zip(MODELS[camera.distortion.model], camera.distortion.coefficients, strict=True))
-    if camera.projection != "perspective":
+    if camera.projection == "equirectangular":
+        value |= {"camera_model": PANORAMA, "fl_x": camera.focal[0] * math.pi, "fl_y": camera.focal[1] * math.pi}
+    elif camera.projection != "perspective":
         value["projection"] = camera.projection
+    if camera.projection == "fisheye":
+        value["camera_model"] = "OPENCV_FISHEYE"
+        if camera.widest < math.pi:
+            value["widest"] = float(camera.widest)
     if camera.near:
         value["near"] = float(camera.near)
     if math.isfinite(camera.far):
@@ -407,10 +448,10 @@ def _whole(value: Any, where: str) -> int:
 def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
     """The cameras of nerfstudio's camera path, in its own world: camera_to_world row by row, and the vertical field of view in degrees.
 
-    Raises SnergError for a camera_type other than 'perspective', and for missing or invalid values.
+    Raises SnergError for a camera_type other than 'perspective', 'fisheye' and 'equirectangular', and for missing or invalid values.
     """
     kind = str(value.get("camera_type", "perspective")).lower()
-    if kind != "perspective":
+    if kind not in ("perspective", *wide.PROJECTIONS):
         raise SnergError(f"{where} is a camera path of camera_type {kind}, which is not supported; export it as perspective.")
     steps = value["camera_path"]
     if not isinstance(steps, list) or not steps:
@@ -421,10 +462,11 @@ def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
         here = f"{where}, camera {index}"
         try:
             pose = np.array(step["camera_to_world"], np.float64).reshape(4, 4)
-            focal = focal_from_angle(math.radians(float(step["fov"])), height, here)
+            one = focal_from_angle(math.radians(float(step["fov"])), height, here)
+            focal = panorama_focal(width, height) if kind == "equirectangular" else (one, one)
         except (KeyError, TypeError, ValueError) as error:
             raise SnergError(f"{here} lacks camera_to_world (16 numbers) or fov (degrees); export the path again.") from error
-        cameras.append(Camera(width, height, (focal, focal), (width / 2, height / 2), pose, name=f"{index:05d}"))
+        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, kind, f"{index:05d}"))
     return tuple(cameras)
 
 
