@@ -143,6 +143,9 @@ def unseen_images(images: list[Path]) -> list[str]:
 def limitations(cameras: list[Camera]) -> list[str]:
     """Sentences about what Blender cannot show of these cameras."""
     sentences = []
+    wide = sum(camera.is_wide for camera in cameras)
+    if wide:
+        sentences.append(f"{wide} are panoramic, which only Cycles and SNeRG render; the viewport shows their view as a perspective one.")
     distorted = sum(camera.distortion is not None for camera in cameras)
     if distorted:
         sentences.append(

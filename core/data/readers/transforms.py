@@ -35,6 +35,7 @@ LENSES = {
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
 PANORAMA = "EQUIRECTANGULAR"  # nerfstudio's camera_model of a panorama; instant-ngp's is the key latlong
+OURS_PANORAMA = "equirectangular"  # our own key 'projection' of panoramas, whose fl_x, fl_y, cx, cy are to be believed
 OTHER_LENSES = {  # instant-ngp's keys for lenses that are not supported here, by what they are
     "ftheta_p0": "an f-theta lens",
     "equirectangular": "a cylindrical equal-area picture in instant-ngp, not a panorama of 360 x 180 degrees, whose key is latlong",
@@ -227,8 +228,7 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
     width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
     lens = read_lens(value, where)
     if is_panorama(value):
-        check_panorama(value, width, height, where)
-        whole: dict[str, Any] = {"focal": panorama_focal(width, height), "centre": (width / 2, height / 2), "projection": "equirectangular"}
+        whole = _panorama(value, width, height, where)
         return scaled_to(size, (width, height), where, **whole, **_common(value, pose, name))
     focal_x, focal_y = _focal(value, "x", width, where), _focal(value, "y", height, where)
     if focal_x is None and focal_y is None:
@@ -254,19 +254,25 @@ def _common(value: dict[str, Any], pose: NDArray[Any], name: str) -> dict[str, A
 
 def is_panorama(value: dict[str, Any]) -> bool:
     """Whether a file or frame describes a panorama."""
-    return str(value.get("camera_model", "")).upper() == PANORAMA or bool(value.get("latlong"))
+    return str(value.get("camera_model", "")).upper() == PANORAMA or bool(value.get("latlong")) or value.get("projection") == OURS_PANORAMA
 
 
-def check_panorama(value: dict[str, Any], width: float, height: float, where: str) -> None:
-    """Raise UnsupportedLens, which begins with `where`, unless a panorama of these pixels is whole: twice as wide as high.
+def _panorama(value: dict[str, Any], width: float, height: float, where: str) -> dict[str, Any]:
+    """The arguments of Camera for a panorama of `width` x `height` pixels.
 
-    It then shows 360 x 180 degrees, whatever its fl_x is: tools disagree about that.
+    One of twice its height shows 360 x 180 degrees, whatever its fl_x is: tools disagree about that. Ours may be parts of one, and have
+    fl_x and fl_y in pixels per half turn, as nerfstudio has. Raises UnsupportedLens, which begins with `where`, for parts of others.
     """
-    if abs(width - 2 * height) > 0.02 * width:
+    if value.get("projection") == OURS_PANORAMA and all(key in value for key in ("fl_x", "fl_y", "cx", "cy")):
+        focal, centre = (float(value["fl_x"]) / math.pi, float(value["fl_y"]) / math.pi), (float(value["cx"]), float(value["cy"]))
+    elif abs(width - 2 * height) <= 0.02 * width:
+        focal, centre = panorama_focal(width, height), (width / 2, height / 2)
+    else:
         lens = "latlong" if value.get("latlong") else PANORAMA
         raise UnsupportedLens(
             f"{where} has the lens {lens} and {width:g} x {height:g} pixels; only whole panoramas, twice as wide as high, are supported."
         )
+    return {"focal": focal, "centre": centre, "projection": "equirectangular"}
 
 
 def _focal(value: dict[str, Any], axis: str, pixels: float, where: str) -> float | None:
@@ -390,7 +396,7 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
         value |= dict(zip(MODELS[camera.distortion.model], camera.distortion.coefficients, strict=True))
     if camera.projection == "equirectangular":
         value |= {"camera_model": PANORAMA, "fl_x": camera.focal[0] * math.pi, "fl_y": camera.focal[1] * math.pi}
-    elif camera.projection != "perspective":
+    if camera.projection != "perspective":
         value["projection"] = camera.projection
     if camera.projection == "fisheye":
         value["camera_model"] = "OPENCV_FISHEYE"
