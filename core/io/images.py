@@ -24,15 +24,7 @@ FLAT_PIXELS = 2**24  # pixels that an image may have however small its file is
 FLAT_MASK = 2**26  # the same for a mask, which has one channel and may be white everywhere
 PIXELS_PER_BYTE = 256  # pixels per byte of file that larger images may have: a PNG of one RGBA colour has 250, others have fewer
 MAX_BYTES = 2**31  # of an image's file
-FORMATS = (
-    "PNG",
-    "JPEG",
-    "WEBP",
-    "TIFF",
-    "BMP",
-    "AVIF",
-    "HEIF",
-)  # HEIF is of the package pillow-heif; some other formats of Pillow start external programs
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "AVIF")  # and HEIF; some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 ENDS = {"PNG": b"IEND", "JPEG": b"\xff\xd9"}  # the last part of each whole file
@@ -142,11 +134,11 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
     the file states for a part of itself, which may be gigabytes.
     """
     size = _check_image_file(path)
-    _need_decoder(path)
+    formats = _formats(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MAX_PIXELS decides
-            image = Image.open(path if header else io.BytesIO(path.read_bytes()), formats=FORMATS)
+            image = Image.open(path if header else io.BytesIO(path.read_bytes()), formats=formats)
     except Exception as error:  # Pillow's readers of headers raise what they like
         raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
     try:
@@ -157,16 +149,17 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
     return image
 
 
-def _need_decoder(path: Path) -> None:
-    """Make Pillow know HEIC, which phones write, also under the name .jpg. Raises SnergError when no decoder is installed for a file."""
+def _formats(path: Path) -> tuple[str, ...]:
+    """The names by which Pillow knows the formats that a file may have. HEIC, which phones write, is known by its content: it is often
+    called .jpg. Raises SnergError when no decoder is installed for the file."""
     with reading(path, "write it again", f"The image {path}"), open(path, "rb") as file:
         head = file.read(64)
     if head[4:8] != b"ftyp":
-        return
+        return FORMATS
     if b"avif" in head or b"avis" in head:
         if not features.check("avif"):
             raise SnergError(f"The image {path} is AVIF, which this Pillow lacks: run 'pip install -U pillow', or convert it to PNG.")
-        return
+        return FORMATS
     try:
         import pillow_heif
     except ImportError as error:
@@ -174,6 +167,7 @@ def _need_decoder(path: Path) -> None:
             f"The image {path} is HEIC, which needs the package pillow-heif: run 'pip install pillow-heif', or convert it to JPEG."
         ) from error
     pillow_heif.register_heif_opener()
+    return ("HEIF",)
 
 
 def _may_be_cut(path: Path, kind: str) -> bool:
