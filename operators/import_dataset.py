@@ -23,6 +23,7 @@ from ..snerg_addon.project import Project, project_of
 from .import_operator import ImportOperator
 
 DISPLAY_SIZE = 0.05  # size of a camera in the viewport, as a fraction of its distance from the box's centre
+NOT_IN_BLENDER = (".avif", ".heic", ".heif", ".hif")  # suffixes of images that training reads and Blender does not
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
@@ -55,7 +56,8 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
-        return " ".join([f"Imported {views} from {result['path']}.", *said, *alone, *limitations(every)])
+        unseen = unseen_images([view.image for part in parts for view in part.views])
+        return " ".join([f"Imported {views} from {result['path']}.", *said, *alone, *limitations(every), *unseen])
 
 
 def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict[str, Any]:
@@ -136,9 +138,18 @@ def most_common(cameras: list[Camera]) -> Camera:
     return next(camera for camera in cameras if (camera.width, camera.height) == size)
 
 
+def unseen_images(images: list[Path]) -> list[str]:
+    """A sentence about images that Blender cannot show as backgrounds; none where it shows all."""
+    count = sum(image.suffix.lower() in NOT_IN_BLENDER for image in images)
+    return [f"{count} images are AVIF or HEIC, which Blender does not show as backgrounds; training reads them."] if count else []
+
+
 def limitations(cameras: list[Camera]) -> list[str]:
     """Sentences about what Blender cannot show of these cameras."""
     sentences = []
+    wide = sum(camera.is_wide for camera in cameras)
+    if wide:
+        sentences.append(f"{wide} are panoramic, which only Cycles and SNeRG render; the viewport shows their view as a perspective one.")
     distorted = sum(camera.distortion is not None for camera in cameras)
     if distorted:
         sentences.append(

@@ -61,8 +61,16 @@ def evaluated_shots(scene: bpy.types.Scene, shots: Sequence[Shot]) -> tuple[list
             places.append(places_in(depsgraph) if frame is not None else {})
 
         evaluate_render(scene, read, list(dict.fromkeys(some.values())), frame)
+    check_engine(scene, [cameras[index] for index in range(len(shots))])
     said = [blur_warning(sorted(blurred)), movement_warning(places), simulation_warning(scene, [frame_of(shot) for shot in shots])]
     return [cameras[index] for index in range(len(shots))], [sentence for sentence in said if sentence]
+
+
+def check_engine(scene: bpy.types.Scene, cameras: Sequence[Camera]) -> None:
+    """Raise SnergError where one of the cameras is panoramic and the scene's engine would render it as something else."""
+    wide = [camera.name for camera in cameras if camera.is_wide]
+    if wide and scene.render.engine != "CYCLES":
+        raise SnergError(f"The camera {wide[0]!r} is panoramic, which only Cycles renders here; choose Cycles, or leave the camera out.")
 
 
 def blur_warning(names: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from ..export.codecs import PNG, CodecSettings
 from ..export.scene_files import codec_of, is_current
 from ..io.generation import one_generation
 from ..io.lock import writes_out
-from ..progress import Progress, silent
+from ..progress import Note, Progress, silent
 from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
@@ -35,7 +35,10 @@ def bundle_scene(
     """
     check_out(out, "page", scene, *([cameras] if cameras else []))
     viewer_files()
-    views = read_cameras(cameras) if cameras else ()
+    listed = read_cameras(cameras) if cameras else ()
+    views = tuple(camera for camera in listed if not camera.is_wide)
+    if len(views) < len(listed):
+        progress(0.0, Note(f"{len(listed) - len(views)} panoramic or fisheye cameras are left out: a web page cannot draw them."))
 
     def opened() -> tuple[Scene, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None

@@ -72,6 +72,7 @@ def _dataset_info(path: Path) -> Result:
         "masks": sum(view.mask is not None for part in opened for view in part.views),
         "depth": _depth_info(opened),
         "passes": {name: sum(name in v.passes for part in opened for v in part.views) for name in PASSES},
+        "projections": sorted({camera.projection for camera in cameras}),
         "distortion": lenses,
         "points": 0 if train.points is None else len(train.points),
         "bounds": None if train.bounds is None else [float(train.bounds[:, 0].min()), float(train.bounds[:, 1].max())],

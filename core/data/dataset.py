@@ -21,10 +21,6 @@ from .opacity import Opacity
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
 
 
-class UnsupportedLens(SnergError):
-    """One camera has a lens that is not supported; the others of its dataset can still be read."""
-
-
 @dataclass(frozen=True, eq=False)
 class View:
     """One image, photographed or rendered, and the camera that took it."""
@@ -204,7 +200,7 @@ def focus_box(cameras: tuple[Camera, ...]) -> Box:
     centre, _ = focus(cameras)
     half_widths = []
     for camera in cameras:
-        tangent = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
+        tangent = 1.0 if camera.is_wide else max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
         distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position - centre))
         half_widths.append(tangent * distance)
     half = float(np.median(half_widths))

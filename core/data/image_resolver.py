@@ -16,7 +16,8 @@ from ..geometry.camera import Camera
 from ..io.images import lies_down, read_size
 from ..io.paths import inside
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif")  # in this order where one stem has several
+# In this order where one stem has several.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif", ".hif")
 ABSOLUTE = re.compile(r"/|[a-zA-Z]:/")  # how an absolute path begins, of this machine or another
 SPLIT_FOLDERS = ("train", "val", "test")  # whose pictures have the same names
 FOLDERS = ("input", "image", "imgs", "photos", "rgb")  # where tools keep photographs beside a folder 'images', in this order
@@ -152,7 +153,7 @@ def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **c
         )
     sx, sy = width / w, height / h
     (fx, fy), (cx, cy) = camera.pop("focal"), camera.pop("centre")
-    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera)
+    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera).widened()
 
 
 def image_folder(root: Path, downscale: int, where: str) -> tuple[Path, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,27 @@ from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
 from .masks import unused_masks
 from .orient import orient
-from .readers import colmap, llff, sdfstudio, transforms
+from .readers import colmap, llff, metashape, polycam, realitycapture, record3d, sdfstudio, splats, transforms
 from .readers.others import check_supported
 
 DEFAULT_OPTIONS = DatasetOptions()
+Reader = tuple[Callable[[Path], bool], Callable[[Path, str, DatasetOptions], Source]]
+READERS: tuple[Reader, ...] = (  # (whether it knows the format of a path, its reader), in the order in which they are tried
+    (splats.is_splats, lambda path, _, options: splats.read_splats(path, options)),
+    (sdfstudio.is_sdfstudio, sdfstudio.read_sdfstudio),
+    (transforms.is_transforms, transforms.read_transforms),
+    (llff.is_llff, lambda path, _, options: llff.read_llff(path, options)),
+    (colmap.is_colmap, lambda path, _, options: colmap.read_colmap(path, options)),
+    (polycam.is_polycam, lambda path, _, options: polycam.read_polycam(path, options)),
+    (record3d.is_record3d, lambda path, _, options: record3d.read_record3d(path, options)),
+    (metashape.is_metashape, lambda path, _, options: metashape.read_metashape(path, options)),
+    (realitycapture.is_realitycapture, lambda path, _, options: realitycapture.read_realitycapture(path, options)),
+)
 
 
 def read_dataset(path: str | os.PathLike[str], split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
-    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
+    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), a COLMAP model with its images, or what
+    Polycam, Record3D, Metashape, RealityCapture or Gaussian splatting export (see docs/captures.md).
 
     Reads the header of each image, not its pixels. Raises SnergError when there is no such dataset or split, or an image, pose or lens
     is missing or invalid.
@@ -79,24 +93,25 @@ def _reduced(view: View, factor: int) -> View:
 
 
 def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
-    """Read the dataset at `path` with the reader of its format: transforms, LLFF or COLMAP, tried in this order.
+    """Read the dataset at `path` with the first of READERS that knows its format.
 
     The result is in the source's own world, not oriented. Raises SnergError when no reader recognises it, or as the reader does.
     """
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
-    if sdfstudio.is_sdfstudio(path):
-        return sdfstudio.read_sdfstudio(path, split, options)
-    if transforms.is_transforms(path):
-        return transforms.read_transforms(path, split, options)
-    if llff.is_llff(path):
-        return llff.read_llff(path, options)
-    if colmap.is_colmap(path):
-        return colmap.read_colmap(path, options)
+    for recognises, read in READERS:
+        if recognises(path):
+            return read(path, split, options)
     check_supported(path)
     raise SnergError(
-        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
+        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy, no COLMAP model in sparse/0, "
+        "and no cameras of Polycam, Record3D, Metashape or RealityCapture."
     )
+
+
+def is_capture(path: Path) -> bool:
+    """Whether one of READERS knows the format of a capture at `path`. Raises OSError when a folder or file may not be read."""
+    return any(recognises(path) for recognises, _ in READERS)
 
 
 def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
@@ -115,5 +130,6 @@ def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[in
     if split == "train" and len(splits[split]) < 2:
         raise SnergError(
             f"The dataset {source.root} has {len(splits[split])} image to train on; a scene needs several, from different places."
+            + "".join(f" {note}" for note in source.notes[-1:])
         )
     return splits[split], tuple(sorted(names, key=lambda n: n != "train"))

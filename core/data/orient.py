@@ -21,6 +21,7 @@ DISTANCE = 4.0  # median distance in world units from a camera to what the camer
 FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis
 OUTLIERS = (2.0, 98.0)  # percentiles of the points' coordinates between which the box spans; the others are outliers
 MARGIN = 0.05  # added to the box on each side, as a part of its span
+SURROUND = 2.0  # distance of what panoramas show, in the largest distance of one from their mean position, where there are no points
 FORWARD = 0.9  # the cameras are forward-facing if the mean of their unit view directions is longer than this
 AGREE = 0.5  # the cameras' up directions are used if the mean of these unit vectors is longer than this
 
@@ -35,8 +36,12 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
     cameras = tuple(view.camera for view in source.views)
     centre = looked_at(cameras, source.points, source.bounds)
     positions = np.stack([c.position for c in cameras])
-    distance = float(np.median(np.linalg.norm(positions - centre, axis=-1)))
     spread = float(np.linalg.norm(positions - positions.mean(axis=0), axis=-1).max())
+    distance = float(np.median(np.linalg.norm(positions - centre, axis=-1)))
+    if panoramic(cameras):
+        distance = SURROUND * spread
+        if source.points is not None and len(source.points):
+            distance = float(np.median(np.linalg.norm(source.points - centre, axis=-1)))
     if not (np.isfinite(centre).all() and spread > 1e-9 * max(distance, 1e-9) and distance > 0):
         raise SnergError(f"All photographs of {source.root} were taken from one place; depth needs several places.")
     rotation = upright(upward(cameras) if source.up is None else source.up, np.stack([-c.camera_to_world[:3, 2] for c in cameras]))
@@ -51,6 +56,11 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
         bounds=None if source.bounds is None else source.bounds * scale,
     )
     return replace(moved, box=box_of(moved, similarity[:3, 3], scale)), similarity
+
+
+def panoramic(cameras: Sequence[Camera]) -> bool:
+    """Whether most cameras are panoramas, whose view axis says nothing: the scene is all around them."""
+    return sum(camera.projection == "equirectangular" for camera in cameras) * 2 > len(cameras)
 
 
 def upward(cameras: Sequence[Camera]) -> NDArray[Any]:
@@ -97,8 +107,11 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
     points: [N, 3] of the scene; bounds: [V, 2], nearest and farthest depth in each view; None where the dataset has none.
     For forward-facing cameras the point lies on their mean optical axis, at a depth from their mean position: the median depth of the
     points in front of it; without such points, the depth whose disparity (1 / depth) is the mean disparity of the median bounds.
-    For other cameras, and with neither points nor bounds, it is the point nearest to their optical axes (see `focus`).
+    For panoramas it is the median of their positions. For other cameras, and with neither points nor bounds, it is the point nearest to
+    their optical axes (see `focus`).
     """
+    if panoramic(cameras):
+        return np.asarray(np.median([c.position for c in cameras], axis=0))
     axes = np.stack([-c.camera_to_world[:3, 2] for c in cameras])
     mean = axes.mean(axis=0)
     if np.linalg.norm(mean) < FORWARD or (points is None and bounds is None):
@@ -144,7 +157,7 @@ def measured_box(source: Source) -> Box:
         low, high = np.percentile(corners.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
     else:
         reach = 1.5 * float(np.percentile([np.linalg.norm(c.position) for c in cameras], 90))
-        half = np.full(3, min(reach, FARTHEST))
+        half = np.full(3, FARTHEST if panoramic(cameras) else min(reach, FARTHEST))
         return Box.axis_aligned(-half, half)
     grow = np.maximum(MARGIN * (high - low), 0.02 * (high - low).max() + 1e-6)
     return Box.axis_aligned(low - grow, high + grow)
@@ -154,5 +167,5 @@ def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
     """The corners [8, 3] of a camera's frustum between two depths, in world units."""
     edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
     origins, directions = camera.rays(edge)
-    along = directions @ -camera.camera_to_world[:3, 2]
+    along = camera.cosines(directions)
     return np.concatenate([origins + directions * (depth / along)[:, None] for depth in (near, far)])

@@ -219,8 +219,9 @@ def test_a_dataset_that_is_none_is_refused(scene, tmp_path):
     with pytest.raises(RuntimeError, match="is no dataset"):
         bpy.ops.snerg.import_dataset(filepath=str(tmp_path))
     folder = write_capture(tmp_path / "capture")
-    (folder / "images" / "shot_3.png").write_bytes(b"no picture")
-    with pytest.raises(RuntimeError, match="shot_3"):
+    for image in (folder / "images").iterdir():
+        image.write_bytes(b"no picture")
+    with pytest.raises(RuntimeError, match=r"shot_.*cannot be read"):
         bpy.ops.snerg.import_dataset(filepath=str(folder))
     assert "capture" not in bpy.data.collections
 

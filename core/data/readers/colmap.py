@@ -9,6 +9,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
-from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
 from ...io.paths import inside
 from ...io.schema import FAR
-from ..dataset import DatasetOptions, Source, UnsupportedLens, View
+from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import check_distinct, find_image, has_image_folder, image_folder, scaled_to, size_for
+from ..left_out import LeftOut, UnsupportedLens, about_one_view
 from ..masks import mask_of
 from .lists import listed
 from .ply import read_ply
@@ -79,8 +80,13 @@ class Shot:
 
     name: str  # path relative to the folder of images
     lens: int  # id of its camera in the model
-    world_to_camera: NDArray[Any]  # [3, 4] float64, rotation and translation, OpenCV's axes, units of the model
+    pose: list[float]  # rotation as a quaternion (w, x, y, z), and translation
     seen: NDArray[Any]  # [N] int64, ids of the 3D points that were matched in it
+
+    @cached_property
+    def world_to_camera(self) -> NDArray[Any]:
+        """[3, 4] float64, rotation and translation, OpenCV's axes, units of the model. Raises SnergError as `world_to_camera`."""
+        return world_to_camera(self.pose, f"The image {self.name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +133,19 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
         raise SnergError(
             f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
         )
-    views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
-    notes = ((said,) if said else ()) + notes + _passed_over(folder)
-    splits = listed(root, folder, [shot.name for shot in shots], all_names)
-    source = Source(root, "colmap", views, splits, photographs=True, factor=factor, notes=notes)
+    views, kept, left_out = [], [], LeftOut()
+    for shot, image in zip(shots, found, strict=True):
+        if image is not None:
+            with left_out.reading():
+                views.append(_view(root, folder, shot, lenses, image))
+                kept.append(shot)
+    left_out.check(views)
+    notes = ((said,) if said else ()) + notes + left_out.notes() + _passed_over(folder)
+    splits = listed(root, folder, [shot.name for shot in kept], all_names)
+    source = Source(root, "colmap", tuple(views), splits, photographs=True, factor=factor, notes=notes)
     if not len(points.points):
         return source
-    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
+    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(kept, points))
 
 
 def _passed_over(folder: Path) -> tuple[str, ...]:
@@ -277,14 +289,14 @@ SEEN = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
 def binary_shots(path: Path) -> list[Shot]:
-    """Read images.bin: the images in the order of the file. Raises SnergError as `world_to_camera`."""
+    """Read images.bin: the images in the order of the file."""
     file = Bytes(path)
     shots = []
     for _ in range(file.count(64 + 1 + 8)):
         _, *pose, lens = file.take("I7dI")
         name = file.text()
         seen = file.array(SEEN, file.count(SEEN.itemsize))["point"]
-        shots.append(Shot(name, lens, world_to_camera(pose, f"{path}, image {name}"), seen[seen >= 0]))
+        shots.append(Shot(name, lens, pose, seen[seen >= 0]))
     return shots
 
 
@@ -333,16 +345,15 @@ def text_lenses(path: Path) -> Lenses:
 
 
 def text_shots(path: Path) -> list[Shot]:
-    """Read images.txt: the images in the order of the file. Each has two lines, of which the second, its 2D points, may be empty.
-
-    Raises SnergError as `world_to_camera`.
-    """
+    """Read images.txt: the images in the order of the file. Each has two lines, of which the second, its 2D points, may be empty."""
     shots = []
     for line, matches in _shot_lines(path):
         _, *pose, lens, name = _values(line, 10)
         tracks = _values(matches) if matches else []
         seen = np.array(tracks[2::3], np.int64)
-        shots.append(Shot(name, int(lens), world_to_camera([float(v) for v in pose], f"{path}, image {name}"), seen[seen >= 0]))
+        if len(pose) != 7:
+            raise ValueError(f"the image {name} has a pose of {len(pose)} numbers instead of 7")
+        shots.append(Shot(name, int(lens), [float(v) for v in pose], seen[seen >= 0]))
     return shots
 
 
@@ -378,11 +389,11 @@ def _points(rows: list[tuple[Any, ...]]) -> Points:
 def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
     """The rigid transform [3, 4] from a pose of 7 numbers: a quaternion (w, x, y, z), normalised here, and a translation.
 
-    Raises SnergError, which begins with `where`, when these are not 7 finite numbers or the quaternion is 0.
+    Raises SnergError, which begins with `where`, when they are not finite or the quaternion is 0.
     """
     q = np.array(pose[:4], np.float64)
     length = float(np.linalg.norm(q))
-    if len(pose) != 7 or not np.isfinite(pose).all() or length < 1e-9:
+    if not np.isfinite(pose).all() or length < 1e-9:
         raise SnergError(f"{where} has a pose that is not a finite rotation and position; run COLMAP's mapper again.")
     w, x, y, z = q / length
     rotation = [
@@ -394,24 +405,27 @@ def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
 
 
 def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: Path) -> View:
+    """The view of one image of a model. Raises UnusableView when its picture, pose or lens is invalid."""
     lens = lenses[shot.lens]
-    rotation, translation = shot.world_to_camera[:, :3], shot.world_to_camera[:, 3]
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
-    pose[:3, 3] = -rotation.T @ translation
-    given = float(lens.width), float(lens.height)
-    size, upright = size_for(image, given)
-    camera: Camera = scaled_to(
-        size,
-        given,
-        f"{folder}, image {shot.name},",
-        focal=lens.focal,
-        centre=lens.centre,
-        camera_to_world=pose,
-        name=Path(shot.name).stem,
-        distortion=lens.distortion,
-    )
-    return View(camera, image, mask_of(root, shot.name, image, str(folder)), upright=upright)
+    mask = mask_of(root, shot.name, image, str(folder))
+    with about_one_view():
+        rotation, translation = shot.world_to_camera[:, :3], shot.world_to_camera[:, 3]
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
+        pose[:3, 3] = -rotation.T @ translation
+        given = float(lens.width), float(lens.height)
+        size, upright = size_for(image, given)
+        camera = scaled_to(
+            size,
+            given,
+            f"{folder}, image {shot.name},",
+            focal=lens.focal,
+            centre=lens.centre,
+            camera_to_world=pose,
+            name=Path(shot.name).stem,
+            distortion=lens.distortion,
+        )
+        return View(camera, image, mask, upright=upright)
 
 
 def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...errors import SnergError
 from ...io.images import LINEAR
 from ...io.paths import inside
-from ..dataset import UnsupportedLens
+from ..left_out import UnsupportedLens
 from ..opacity import Opacity
 
 NEIGHBOURS = 3  # frames before and after one whose mean sharpness instant-ngp compares with its own

@@ -218,8 +218,11 @@ def test_a_camera_path_of_nerfstudio(tmp_path):
     first, second = read_cameras(file)
     assert (first.width, first.height) == (60, 40) and np.allclose(first.camera_to_world, pose) and first.name != second.name
     assert np.allclose(first.focal, 20 / np.tan(np.radians(25))) and first.centre == (30, 20)
-    file.write_text(json.dumps({"camera_type": "equirectangular", "camera_path": [step]}))
-    with pytest.raises(SnergError, match="equirectangular"):
+    for kind in ("equirectangular", "fisheye"):
+        file.write_text(json.dumps({"render_width": 60, "render_height": 30, "camera_type": kind, "camera_path": [step]}))
+        assert read_cameras(file)[0].projection == kind
+    file.write_text(json.dumps({"camera_type": "omnidirectional", "camera_path": [step]}))
+    with pytest.raises(SnergError, match="omnidirectional"):
         read_cameras(file)
 
 
@@ -248,10 +251,9 @@ def test_the_cameras_of_gaussian_splatting(tmp_path):
 @pytest.mark.parametrize(
     ("file", "content", "says"),
     [
-        ("keyframes/cameras/1.json", "{}", "Polycam.*polycam"),
-        ("EXR_RGBD/metadata.json", "{}", "Record3D.*record3d"),
-        ("cameras.xml", '<document version="1.2.0"><chunk label="a">', "Metashape.*COLMAP"),
-        ("cameras.csv", "#name,x,y,alt,heading,pitch,roll,f", "RealityCapture.*COLMAP"),
+        ("keyframes/depth/1.png", "", "Polycam.*raw data"),
+        ("EXR_RGBD/metadata.json", "{}", "Record3D.*EXR"),
+        ("scan.rsproj", "", "RealityCapture.*COLMAP"),
         ("scan.psx", "", "Metashape"),
         ("database.db", "", "mapper"),
         ("reconstruction.json", "[]", "OpenSfM"),
