@@ -15,7 +15,8 @@ from ..dataset import DatasetOptions, Source
 from .transforms import is_transforms, source_of
 
 FILE = "meta_data.json"
-FILES = {"rgb_path": "file_path", "sensor_depth_path": "depth_file_path", "foreground_mask": "mask_path"}  # its keys, ours
+SHARED = {"width": "w", "height": "h", "camera_model": "camera_model", "scene_box": "scene_box"}  # its keys of the whole file, ours
+FILES = {"rgb_path": "file_path", "sensor_depth_path": "depth_file_path", "foreground_mask": "mask_path"}  # its keys of a frame, ours
 ESTIMATED = ("mono_depth_path", "mono_normal_path")
 
 
@@ -35,12 +36,11 @@ def read_sdfstudio(path: Path, split: str, options: DatasetOptions) -> Source:
         if not isinstance(value, dict) or not isinstance(value.get("frames"), list) or not value["frames"]:
             raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
         frames = [_frame(frame, f"{file}, frame {index}") for index, frame in enumerate(value["frames"])]
-        shared = {ours: value[theirs] for ours, theirs in (("w", "width"), ("h", "height")) if theirs in value}
-        shared["camera_model"] = value.get("camera_model", "OPENCV")
+        shared = {ours: value[theirs] for theirs, ours in SHARED.items() if theirs in value}
         source = source_of(file, shared, frames, (), split, options)
         said = any(key in frame for frame in value["frames"] for key in ESTIMATED)
         notes = (f"{file.name}: depth and normals as a network estimates them have no effect.",) if said else ()
-        return replace(source, half_extent=_half_extent(file, value), notes=notes + source.notes)
+        return replace(source, notes=notes + source.notes)
 
 
 def _frame(frame: Any, where: str) -> dict[str, Any]:
@@ -53,17 +53,3 @@ def _frame(frame: Any, where: str) -> dict[str, Any]:
         raise SnergError(f"{where} has no camtoworld and intrinsics of 4 x 4 numbers; every frame needs them.") from error
     files = {ours: frame[theirs] for theirs, ours in FILES.items() if frame.get(theirs) is not None}
     return {"transform_matrix": pose.tolist(), **intrinsics, **files}
-
-
-def _half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the side of the cube around the origin that scene_box.aabb spans; None without it."""
-    box = value.get("scene_box")
-    if not isinstance(box, dict) or "aabb" not in box:
-        return None
-    try:
-        half = float(np.abs(np.array(box["aabb"], np.float64).reshape(2, 3)).max())
-    except (TypeError, ValueError) as error:
-        raise SnergError(f"{file} has a scene_box whose aabb is not two corners ({error}).") from error
-    if not 0 < half < np.inf:
-        raise SnergError(f"{file} has a scene_box whose aabb is {box['aabb']}; it must have a size.")
-    return half

@@ -384,15 +384,22 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
 
 
 def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the edge length of instant-ngp's cube, which is centred on the origin, in units of the poses; None without aabb_scale."""
-    if "aabb_scale" not in value:
+    """Half the edge length of a cube around the origin, in units of the poses: instant-ngp's aabb_scale, or SDFStudio's scene_box.
+
+    None without both. Raises SnergError when it is not a number above 0.
+    """
+    key = next((key for key in ("scene_box", "aabb_scale") if key in value), None)
+    if key is None:
         return None
     try:
-        half = 0.5 * float(value["aabb_scale"]) / float(value.get("scale", NGP_SCALE))
-    except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise SnergError(f"{file} has an aabb_scale that is not a number ({error}).") from error
+        if key == "scene_box":
+            half = float(np.abs(np.array(value[key]["aabb"], np.float64).reshape(2, 3)).max())
+        else:
+            half = 0.5 * float(value[key]) / float(value.get("scale", NGP_SCALE))
+    except (TypeError, ValueError, KeyError, ZeroDivisionError) as error:
+        raise SnergError(f"{file} has an {key} that is not a number, or not a box of numbers ({error}).") from error
     if not (math.isfinite(half) and half > 0):
-        raise SnergError(f"{file} has an aabb_scale of {value['aabb_scale']}; it must be above 0.")
+        raise SnergError(f"{file} has an {key} of {value[key]}; it must be above 0.")
     return half
 
 

@@ -122,6 +122,7 @@ HONOURED = [
     Key(NGP, "fl_x", {"fl_x": 30}, holds=focal(0, 30)),
     Key(NGP, "fl_y", {"fl_y": 31}, holds=focal(1, 31)),
     Key(NGP, "fl_x of a frame", frame={"fl_x": 30}, holds=focal(0, 30)),
+    Key(NGP, "w, h, fl_x of a frame", frame={"w": 48, "h": 36, "fl_x": 52, "cx": 24, "cy": 18}, holds=focal(0, 26)),
     Key(NGP, "cx", {"cx": 11}, holds=lambda d: d.cameras[0].centre[0] == 11),
     Key(NGP, "cy", {"cy": 8}, holds=lambda d: d.cameras[0].centre[1] == 8),
     Key(NGP, "w and h", {"w": 48, "h": 36}, holds=focal(0, 13)),
@@ -227,6 +228,8 @@ REFUSED = [
     Key(STUDIO, "distortion_params", {"distortion_params": [0.0] * 16}),
     Key(STUDIO, "none.png", frame={"mask_path": "none.png"}),
     Key(STUDIO, "train_filenames", {"train_filenames": ["images/009.png"]}),
+    *(Key(NGP, name, {name: True}) for name in ("latlong", "equirectangular")),  # of pictures that are not twice as wide as high
+    Key(STUDIO, "EQUIRECTANGULAR", {"camera_model": "EQUIRECTANGULAR"}),
     *(
         Key(STUDIO, name, {"camera_model": name})
         for name in ("OMNIDIRECTIONALSTEREO_L", "OMNIDIRECTIONALSTEREO_R", "VR180_L", "VR180_R", "ORTHOPHOTO", "FISHEYE624")
