@@ -22,7 +22,7 @@ from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, UnsupportedLens, View
+from ..dataset import DatasetOptions, Source, StatedBox, UnsupportedLens, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
 from .ply import read_ply
@@ -81,7 +81,7 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         photographs=photographs,
         points=points,
         colours=colours,
-        half_extent=read_half_extent(file, value),
+        stated=read_stated_box(file, value),
         factor=options.downscale,
         skipped_frames=len(views) - len(there) - len(notes),
         notes=notes,
@@ -300,17 +300,35 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
     return read_ply(path) if path.is_file() else (None, None)
 
 
-def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the edge length of instant-ngp's cube, which is centred on the origin, in units of the poses; None without aabb_scale."""
-    if "aabb_scale" not in value:
+def read_stated_box(file: Path, value: dict[str, Any]) -> StatedBox | None:
+    """The cube that a file of instant-ngp or sdfstudio states, in units of the poses; None where it states none.
+
+    instant-ngp trains in the cube of `aabb_scale` around (0.5, 0.5, 0.5), where a position p of the file lies at p * scale + offset;
+    `aabb`, two corners, gives scale and offset (NVlabs/instant-ngp:src/nerf_loader.cu). sdfstudio has scene_box.aabb.
+    Raises SnergError when a value is not finite, or the cube has no size.
+    """
+    key = next((k for k in ("aabb", "scene_box", "aabb_scale", "offset") if k in value), None)
+    if key is None:
         return None
     try:
-        half = 0.5 * float(value["aabb_scale"]) / float(value.get("scale", NGP_SCALE))
-    except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise SnergError(f"{file} has an aabb_scale that is not a number ({error}).") from error
-    if not (math.isfinite(half) and half > 0):
-        raise SnergError(f"{file} has an aabb_scale of {value['aabb_scale']}; it must be above 0.")
-    return half
+        centre, half = _stated_cube(value, key)
+    except (TypeError, ValueError, KeyError, IndexError, ZeroDivisionError) as error:
+        raise SnergError(f"{file} has an {key} that is not a number, or not a box of numbers ({error}).") from error
+    if not (np.isfinite(centre).all() and math.isfinite(half) and half > 0):
+        raise SnergError(f"{file} has an {key} of {value[key]}; it must be above 0.")
+    return StatedBox(Box.axis_aligned(centre - half, centre + half), key)
+
+
+def _stated_cube(value: dict[str, Any], key: str) -> tuple[NDArray[Any], float]:
+    """(centre [3], half side) of `read_stated_box`, which may be anything that is not finite or not above 0."""
+    enlarged = float(value.get("aabb_scale", 1))
+    if key in ("aabb", "scene_box"):
+        corners = np.array(value[key] if key == "aabb" else value[key]["aabb"], np.float64).reshape(2, 3)
+        enlarged = enlarged if key == "aabb" else 1.0
+        return corners.mean(axis=0), float(np.abs(corners[1] - corners[0]).max()) / 2 * enlarged
+    scale = float(value.get("scale", NGP_SCALE))
+    offset = np.broadcast_to(np.array(value.get("offset", 0.5), np.float64), 3)
+    return np.array([(0.5 - float(along)) / scale for along in offset]), 0.5 * enlarged / scale
 
 
 def write_transforms(
