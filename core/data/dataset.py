@@ -59,7 +59,8 @@ class Dataset:
     root: Path
     split: str
     views: tuple[View, ...]
-    box: Box | None = None  # the region that training must explain; None if the source does not give one
+    box: Box | None = None  # the region that training must explain; None for `focus_box`
+    box_origin: str = ""  # a sentence that says where the box comes from
     points: NDArray[Any] | None = None  # [N, 3] float64, the points of structure from motion
     colours: NDArray[Any] | None = None  # [N, 3] uint8, their colours
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
@@ -150,6 +151,14 @@ class Dataset:
 
 
 @dataclass(frozen=True, eq=False)
+class StatedBox:
+    """The cube in which another tool trains, by its file. It may be the scene's size or an upper bound."""
+
+    box: Box  # axis-aligned
+    key: str  # of the file, for messages
+
+
+@dataclass(frozen=True, eq=False)
 class Source:
     """What a reader found: all views, in the source's own world, their cameras at the size of the images."""
 
@@ -163,7 +172,8 @@ class Source:
     points: NDArray[Any] | None = None  # [N, 3] float64
     colours: NDArray[Any] | None = None  # [N, 3] uint8
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
-    half_extent: float | None = None  # half the side of the cube around the origin that the scene fills; None if not given
+    stated: StatedBox | None = None  # the cube that another tool's file states; None if not given
+    box_origin: str = ""  # a sentence that says where `box` comes from; empty before it has been found
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
     notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired

@@ -18,6 +18,7 @@ from .masks import unused_masks
 from .orient import orient
 from .readers import colmap, llff, metashape, polycam, realitycapture, record3d, sdfstudio, splats, transforms
 from .readers.others import check_supported
+from .training_box import training_box
 
 DEFAULT_OPTIONS = DatasetOptions()
 Reader = tuple[Callable[[Path], bool], Callable[[Path, str, DatasetOptions], Source]]
@@ -62,6 +63,8 @@ def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
         source = replace(source, notes=(*source.notes, said))
     _split(source, split, options)  # before it is oriented, which needs several views
     source, similarity = orient(source) if source.photographs else (source, np.eye(4))
+    found = training_box(source)
+    source = replace(source, box=found.box, box_origin=found.origin)
     return _dataset(source, split, options, similarity)
 
 
@@ -73,6 +76,7 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
         split=split,
         views=tuple(_reduced(source.views[i], source.factor) for i in chosen),
         box=source.box,
+        box_origin=source.box_origin,
         points=source.points,
         colours=source.colours,
         bounds=source.bounds[chosen] if source.bounds is not None else None,

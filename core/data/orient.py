@@ -15,21 +15,19 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
-from .dataset import Source, focus
+from .coverage import median_depth
+from .dataset import Source, StatedBox, focus
+from .training_box import DISTANCE, FORWARD, look_inward
 
-DISTANCE = 4.0  # median distance in world units from a camera to what the cameras look at, as in NeRF-synthetic
-FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis
-OUTLIERS = (2.0, 98.0)  # percentiles of the points' coordinates between which the box spans; the others are outliers
-MARGIN = 0.05  # added to the box on each side, as a part of its span
 SURROUND = 2.0  # distance of what panoramas show, in the largest distance of one from their mean position, where there are no points
-FORWARD = 0.9  # the cameras are forward-facing if the mean of their unit view directions is longer than this
 AGREE = 0.5  # the cameras' up directions are used if the mean of these unit vectors is longer than this
 
 
 def orient(source: Source) -> tuple[Source, NDArray[Any]]:
-    """The source moved to a world with z up and the point that the cameras look at in the origin, with a box; and the similarity
-    [4, 4] from the old world to the new one.
+    """The source moved to a world with z up and the point that the cameras look at in the origin; and the similarity [4, 4] from the old
+    world to the new one.
 
+    The median distance to that point becomes DISTANCE, or to what is in view, where the cameras look outwards.
     +y is the mean view direction, or the first camera's where the cameras surround the scene. Raises SnergError when all photographs
     were taken from one place.
     """
@@ -44,6 +42,8 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
             distance = float(np.median(np.linalg.norm(source.points - centre, axis=-1)))
     if not (np.isfinite(centre).all() and spread > 1e-9 * max(distance, 1e-9) and distance > 0):
         raise SnergError(f"All photographs of {source.root} were taken from one place; depth needs several places.")
+    if not panoramic(cameras) and not look_inward(cameras, centre):
+        distance = view_depth(cameras, source.points, source.bounds) or max(distance, spread)
     rotation = upright(upward(cameras) if source.up is None else source.up, np.stack([-c.camera_to_world[:3, 2] for c in cameras]))
     similarity = np.eye(4)
     similarity[:3, :3] = rotation * (DISTANCE / distance)
@@ -54,8 +54,24 @@ def orient(source: Source) -> tuple[Source, NDArray[Any]]:
         views=tuple(replace(view, camera=view.camera.moved(similarity)) for view in source.views),
         points=None if source.points is None else source.points @ similarity[:3, :3].T + similarity[:3, 3],
         bounds=None if source.bounds is None else source.bounds * scale,
+        stated=None if source.stated is None else moved_cube(source.stated, similarity),
     )
-    return replace(moved, box=box_of(moved, similarity[:3, 3], scale)), similarity
+    return moved, similarity
+
+
+def view_depth(cameras: Sequence[Camera], points: NDArray[Any] | None, bounds: NDArray[Any] | None) -> float | None:
+    """The median depth of what is in view, world units, from points [N, 3] or bounds [V, 2]; None without both."""
+    depth = median_depth(cameras, points) if points is not None else None
+    if depth is None and bounds is not None:
+        return float(2 / (1 / np.median(bounds, axis=0)).sum())
+    return depth
+
+
+def moved_cube(stated: StatedBox, similarity: NDArray[Any]) -> StatedBox:
+    """A cube moved by a similarity [4, 4]. It stays axis-aligned: only its centre and size say something of the scene."""
+    centre = similarity[:3, :3] @ stated.box.box_to_world[:3, 3] + similarity[:3, 3]
+    half = stated.box.size / 2 * float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    return replace(stated, box=Box.axis_aligned(centre - half, centre + half))
 
 
 def panoramic(cameras: Sequence[Camera]) -> bool:
@@ -125,47 +141,3 @@ def looked_at(cameras: tuple[Camera, ...], points: NDArray[Any] | None, bounds: 
         return focus(cameras)[0]
     near, far = np.median(bounds, axis=0)
     return np.asarray(position + mean * (2 / (1 / near + 1 / far)))
-
-
-def box_of(source: Source, origin: NDArray[Any], scale: float) -> Box:
-    """The box that training must explain, axis-aligned. origin: [3] the source's origin in the new world; scale: new units per old.
-
-    The cube of the source's half extent (instant-ngp's aabb_scale) where it is no larger than FARTHEST. A larger one is only an upper
-    bound, as that tool skips empty space at any size: the box is then the part of `measured_box` inside it.
-    """
-    if source.half_extent is None:
-        return measured_box(source)
-    half = source.half_extent * scale
-    if half <= FARTHEST:
-        return Box.axis_aligned(origin - half, origin + half)
-    corners = measured_box(source).corners()
-    low, high = np.maximum(corners.min(axis=0), origin - half), np.minimum(corners.max(axis=0), origin + half)
-    return Box.axis_aligned(low, high) if (low < high).all() else measured_box(source)
-
-
-def measured_box(source: Source) -> Box:
-    """A box from what the capture shows, axis-aligned, clipped at FARTHEST.
-
-    From the points without outliers, else from the cameras' frustums between their nearest and farthest depth, else a cube that
-    contains most cameras.
-    """
-    cameras = [view.camera for view in source.views]
-    if source.points is not None and len(source.points) >= 10:
-        low, high = np.percentile(source.points.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
-    elif source.bounds is not None:
-        corners = np.concatenate([frustum(c, *b) for c, b in zip(cameras, source.bounds, strict=True)])
-        low, high = np.percentile(corners.clip(-FARTHEST, FARTHEST), OUTLIERS, axis=0)
-    else:
-        reach = 1.5 * float(np.percentile([np.linalg.norm(c.position) for c in cameras], 90))
-        half = np.full(3, FARTHEST if panoramic(cameras) else min(reach, FARTHEST))
-        return Box.axis_aligned(-half, half)
-    grow = np.maximum(MARGIN * (high - low), 0.02 * (high - low).max() + 1e-6)
-    return Box.axis_aligned(low - grow, high + grow)
-
-
-def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
-    """The corners [8, 3] of a camera's frustum between two depths, in world units."""
-    edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
-    origins, directions = camera.rays(edge)
-    along = camera.cosines(directions)
-    return np.concatenate([origins + directions * (depth / along)[:, None] for depth in (near, far)])

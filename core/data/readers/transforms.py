@@ -23,7 +23,7 @@ from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, View
+from ..dataset import DatasetOptions, Source, StatedBox, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
 from ..left_out import LeftOut, UnsupportedLens, about_one_view
@@ -102,7 +102,7 @@ def source_of(
         photographs=photographs,
         points=points,
         colours=colours,
-        half_extent=read_half_extent(file, value),
+        stated=read_stated_box(file, value),
         factor=options.downscale,
         skipped_frames=len(views) - len(there) - len(left_out.errors),
         notes=said + remarks(file, value, frames) + left_out.notes(),
@@ -383,24 +383,35 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
     return read_ply(path) if path.is_file() else (None, None)
 
 
-def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the edge length of a cube around the origin, in units of the poses: instant-ngp's aabb_scale, or SDFStudio's scene_box.
+def read_stated_box(file: Path, value: dict[str, Any]) -> StatedBox | None:
+    """The cube that a file of instant-ngp or sdfstudio states, in units of the poses; None where it states none.
 
-    None without both. Raises SnergError when it is not a number above 0.
+    instant-ngp trains in the cube of `aabb_scale` around (0.5, 0.5, 0.5), where a position p of the file lies at p * scale + offset;
+    `aabb`, two corners, gives scale and offset (NVlabs/instant-ngp:src/nerf_loader.cu). sdfstudio has scene_box.aabb.
+    Raises SnergError when a value is not finite, or the cube has no size.
     """
-    key = next((key for key in ("scene_box", "aabb_scale") if key in value), None)
+    key = next((k for k in ("aabb", "scene_box", "aabb_scale", "offset") if k in value), None)
     if key is None:
         return None
     try:
-        if key == "scene_box":
-            half = float(np.abs(np.array(value[key]["aabb"], np.float64).reshape(2, 3)).max())
-        else:
-            half = 0.5 * float(value[key]) / float(value.get("scale", NGP_SCALE))
-    except (TypeError, ValueError, KeyError, ZeroDivisionError) as error:
+        centre, half = _stated_cube(value, key)
+    except (TypeError, ValueError, KeyError, IndexError, ZeroDivisionError) as error:
         raise SnergError(f"{file} has an {key} that is not a number, or not a box of numbers ({error}).") from error
-    if not (math.isfinite(half) and half > 0):
+    if not (np.isfinite(centre).all() and math.isfinite(half) and half > 0):
         raise SnergError(f"{file} has an {key} of {value[key]}; it must be above 0.")
-    return half
+    return StatedBox(Box.axis_aligned(centre - half, centre + half), key)
+
+
+def _stated_cube(value: dict[str, Any], key: str) -> tuple[NDArray[Any], float]:
+    """(centre [3], half side) of `read_stated_box`, which may be anything that is not finite or not above 0."""
+    enlarged = float(value.get("aabb_scale", 1))
+    if key in ("aabb", "scene_box"):
+        corners = np.array(value[key] if key == "aabb" else value[key]["aabb"], np.float64).reshape(2, 3)
+        enlarged = enlarged if key == "aabb" else 1.0
+        return corners.mean(axis=0), float(np.abs(corners[1] - corners[0]).max()) / 2 * enlarged
+    scale = float(value.get("scale", NGP_SCALE))
+    offset = np.broadcast_to(np.array(value.get("offset", 0.5), np.float64), 3)
+    return np.array([(0.5 - float(along)) / scale for along in offset]), 0.5 * enlarged / scale
 
 
 def write_transforms(

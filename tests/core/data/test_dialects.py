@@ -110,6 +110,25 @@ def rays(folder: Path) -> None:
         (folder / "images" / f"rays_00{index}.dat").write_bytes(b"0")
 
 
+def boxed(centre: tuple[float, ...], half: float) -> Callable[[Dataset], bool]:
+    """Whether the box is the cube around `centre`, with sides of 2 `half`, in the poses' own world."""
+
+    def holds(dataset: Dataset) -> bool:
+        middle = dataset.source_to_world[:3] @ [*centre, 1]
+        return np.allclose(dataset.box.box_to_world[:3, 3], middle) and np.allclose(dataset.box.size, 2 * half * dataset.scale)
+
+    return holds
+
+
+def wide(folder: Path) -> None:
+    for index in range(4):
+        write_png(folder / "images" / f"00{index}.png", np.zeros((18, 36, 3), np.uint8))
+
+
+def panorama(dataset: Dataset) -> bool:
+    return all(camera.projection == "equirectangular" for camera in dataset.cameras)
+
+
 def names(dataset: Dataset) -> list[str]:
     return [view.image.stem for view in dataset.views]
 
@@ -137,6 +156,10 @@ HONOURED = [
     Key(NGP, "transform_matrix_start", files=exposed, holds=lambda d: len({tuple(c.position) for c in d.cameras}) == 4),
     Key(NGP, "rolling_shutter of a camera that stands", {"rolling_shutter": [0, 0.1, 0, 0]}),
     Key(NGP, "aabb_scale", {"aabb_scale": 1}, holds=lambda d: d.box is not None),
+    Key(NGP, "scale", {"aabb_scale": 1, "scale": 0.25}, holds=boxed((0, 0, 0), 2)),
+    Key(NGP, "offset", {"aabb_scale": 1, "scale": 0.25, "offset": [0.25, 0.5, 0.5]}, holds=boxed((1, 0, 0), 2)),
+    Key(NGP, "offset of one number", {"aabb_scale": 1, "scale": 0.25, "offset": 0.25}, holds=boxed((1, 1, 1), 2)),
+    Key(NGP, "aabb", {"aabb_scale": 1, "aabb": [[0, -1, -1], [2, 1, 1]]}, holds=boxed((1, 0, 0), 1)),
     Key(NGP, "n_frames", {"n_frames": 3}, holds=lambda d: names(d) == ["000", "001", "002"] and "n_frames" in d.notes[0]),
     Key(
         NGP,
@@ -169,6 +192,8 @@ HONOURED = [
         for name in ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
     ),
     Key(STUDIO, "camera_model OPENCV_FISHEYE", {"camera_model": "OPENCV_FISHEYE", "k1": 0.1}, holds=lens(0.1, model="fisheye")),
+    Key(STUDIO, "camera_model EQUIRECTANGULAR", {"camera_model": "EQUIRECTANGULAR", "w": 36, "h": 18}, files=wide, holds=panorama),
+    Key(NGP, "latlong", {"latlong": True, "w": 36, "h": 18}, files=wide, holds=panorama),
     Key(STUDIO, "k4", {"k1": 0.1, "k4": 0.01}, holds=lens(0.1, 0, 0, 0.01, model="nerfstudio")),
     Key(STUDIO, "distortion_params", {"distortion_params": [0.1, 0.02, 0.03, 0.0, 0.01, 0.02]}, holds=lens(0.1, 0.02, 0.01, 0.02, 0.03)),
     Key(

@@ -1,0 +1,203 @@
+"""Finds the box to train in: from what a file states, the points, the depth bounds or the cameras, each measured before it is believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.box import Box
+from ..geometry.camera import Camera
+from .coverage import crossing, facing, median_depth
+from .dataset import Source, focus, focus_box
+
+DISTANCE = 4.0  # median distance in world units from a camera to what the cameras look at, as in NeRF-synthetic
+FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis, where the cameras look at the origin
+FRUSTUMS = (2.0, 98.0)  # percentiles of the frustums' corners between which the box spans
+MARGIN = 0.05  # added to the box on each side, as a part of its span
+FORWARD = 0.9  # the cameras are forward-facing if the mean of their unit view directions is longer than this
+INWARD = 0.5  # the cameras look at a centre if the mean cosine of their angles to it is above this
+CROSSED = 0.9  # share of the rays that must cross a box of points; of fewer, the points cover a part of what the pictures show
+STATED_CROSSED = 0.3  # share of the rays that must cross a box that a file states: an object in front of nothing needs no more
+LEAST_POINTS = 10  # that say anything of the scene
+APART = ((64, 32, 16, 8), 0.7, 4, 1e-4)  # see `together`: grids tried, share of points to keep, and neighbours: at least, share
+OUTWARD = 8.0  # half the box's side relative to the cameras' spread, where they look outwards and nothing says how far they see
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingBox:
+    """A box to train in, and how it was found."""
+
+    box: Box | None  # None for `focus_box`, which is found when it is asked for
+    origin: str  # a sentence or two: where it comes from, and what was repaired
+
+
+def training_box(source: Source) -> TrainingBox:
+    """The box that training must explain, axis-aligned, in the source's world, which is oriented where it is of photographs.
+
+    A box that the file gives as ours is taken as it is. A cube that another tool states is taken where rays cross it and it is not
+    much larger than what the cameras show; a larger one is only an upper bound, as instant-ngp skips empty space at any size.
+    """
+    if source.box is not None:
+        return TrainingBox(source.box, "The file gives it (snerg_box).")
+    measured = measured_box(source)
+    if source.stated is None:
+        return measured
+    cameras = [view.camera for view in source.views]
+    stated, key = source.stated.box, source.stated.key
+    share = crossing(stated, cameras)
+    if share < STATED_CROSSED:
+        text = f"Only {100 * share:.0f} % of the rays cross the box that the file states ({key}), so that another is measured."
+        return TrainingBox(measured.box, f"{text} {measured.origin}")
+    if stated.size.max() / 2 <= _reach(cameras, source.photographs):
+        return TrainingBox(stated, f"The file states it ({key}).")
+    whole = (measured.box or focus_box(tuple(cameras))).corners()
+    low, high = np.maximum(whole.min(axis=0), stated.corners().min(axis=0)), np.minimum(whole.max(axis=0), stated.corners().max(axis=0))
+    if not (low < high).all():
+        return measured
+    origin = f"{measured.origin} The file states a larger one ({key}), an upper bound."
+    return TrainingBox(Box.axis_aligned(low, high), origin)
+
+
+def _reach(cameras: list[Camera], photographs: bool) -> float:
+    """Twice the median distance from the cameras to what they look at, world units."""
+    if photographs:
+        return FARTHEST
+    centre = focus(tuple(cameras))[0]
+    return 2 * float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
+
+
+def measured_box(source: Source) -> TrainingBox:
+    """The box that a capture itself shows; `box` is None for renders whose cameras look at a centre."""
+    cameras = tuple(view.camera for view in source.views)
+    inward = look_inward(cameras, np.zeros(3) if source.photographs else focus(cameras)[0])
+    if inward and not source.photographs:
+        return TrainingBox(None, "It is a cube around the point that the cameras look at, as wide as their pictures are there.")
+    if source.points is not None and len(source.points) >= LEAST_POINTS:
+        found = _points_box(cameras, source.points, inward)
+        if found is not None:
+            return found
+    if source.bounds is not None:
+        return _frustums_box(cameras, source.bounds, inward)
+    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(cameras)
+
+
+_CUBE = "It is a cube around the point that the cameras look at, which holds most cameras."
+
+
+def look_inward(cameras: tuple[Camera, ...], centre: NDArray[Any]) -> bool:
+    """Whether the cameras look at a centre [3], or all in one direction; not from the inside of a room to its walls."""
+    mean = np.mean([-c.camera_to_world[:3, 2] for c in cameras], axis=0)
+    return bool(np.linalg.norm(mean) > FORWARD or facing(cameras, centre) > INWARD)
+
+
+def _cube(cameras: tuple[Camera, ...]) -> Box:
+    """The cube around the origin with 1.5 times the distance of most cameras as its half side, at most FARTHEST."""
+    half = np.full(3, min(1.5 * float(np.percentile([np.linalg.norm(c.position) for c in cameras], 90)), FARTHEST))
+    return Box.axis_aligned(-half, half)
+
+
+def _outward_box(cameras: tuple[Camera, ...]) -> TrainingBox:
+    """A cube around cameras that look outwards, where nothing says how far they see."""
+    positions = np.stack([c.position for c in cameras])
+    middle = positions.mean(axis=0)
+    half = OUTWARD * float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
+    origin = (
+        f"The cameras look outward, and no points say how far away what they show is: it is a cube around them, {OUTWARD:g} times as wide "
+        f"as their spread. Give points, or a box (snerg_box), where the scene is larger or smaller than that."
+    )
+    return TrainingBox(Box.axis_aligned(middle - half, middle + half), origin)
+
+
+def _limits(cameras: tuple[Camera, ...], depth: float, inward: bool) -> tuple[NDArray[Any], NDArray[Any]]:
+    """(lowest [3], highest [3] coordinates) of a box from points or bounds: as far around the cameras as they see.
+
+    depth: the median of what is in view, world units.
+    """
+    positions = np.stack([c.position for c in cameras])
+    around = min(depth, DISTANCE) if inward else 2 * depth
+    low, high = positions.min(axis=0) - around, positions.max(axis=0) + around
+    return (np.minimum(low, -FARTHEST), np.maximum(high, FARTHEST)) if inward else (low, high)
+
+
+def _points_box(cameras: tuple[Camera, ...], points: NDArray[Any], inward: bool) -> TrainingBox | None:
+    """The box of the points without those that lie apart, and of what else the pictures show; None when the points say nothing."""
+    depth = median_depth(cameras, points)
+    if depth is None:
+        return None
+    low, high = _limits(cameras, depth, inward)
+    near = points[((points >= low) & (points <= high)).all(axis=-1)]
+    if len(near) < LEAST_POINTS:
+        return None
+    kept = near[together(near, low, high)]
+    first, last = _grown(kept.min(axis=0), kept.max(axis=0))
+    box, apart = Box.axis_aligned(first, last), len(points) - len(kept)
+    origin = f"It spans {len(kept)} of {len(points)} points; the others lie apart." if apart else f"It spans the {len(points)} points."
+    if not inward:
+        return TrainingBox(box, origin)
+    share = crossing(box, cameras)
+    wide = _cube(cameras) if share < CROSSED else _looked_at_cube(cameras)
+    corners = np.concatenate([box.corners(), wide.corners()])
+    whole = Box.axis_aligned(corners.min(axis=0), corners.max(axis=0))
+    if share >= CROSSED:
+        return TrainingBox(whole, origin)
+    part = f"The points lie on a part of what the pictures show: {100 * share:.0f} % of the rays cross their box. "
+    cube = f"It is the cube around what the cameras look at, grown to hold {len(kept)} of {len(points)} points."
+    return TrainingBox(whole, part + cube)
+
+
+def _looked_at_cube(cameras: tuple[Camera, ...]) -> Box:
+    """The largest cube around the origin that all pictures hold across: what the cameras look at may have parts without points."""
+    halves = []
+    for camera in cameras:
+        distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position))
+        halves.append(min(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2 * distance)
+    half = np.full(3, min(float(np.median(halves)) / 2**0.5, FARTHEST))
+    return Box.axis_aligned(-half, half)
+
+
+def _frustums_box(cameras: tuple[Camera, ...], bounds: NDArray[Any], inward: bool) -> TrainingBox:
+    """The box of the cameras' frustums between their nearest and farthest depths `bounds` [V, 2]."""
+    depth = float(2 / (1 / np.median(bounds, axis=0)).sum())
+    low, high = (np.full(3, -FARTHEST), np.full(3, FARTHEST)) if inward else _limits(cameras, depth, inward)
+    corners = np.concatenate([frustum(c, *b) for c, b in zip(cameras, bounds, strict=True)])
+    found = _grown(*np.percentile(corners.clip(low, high), FRUSTUMS, axis=0))
+    return TrainingBox(Box.axis_aligned(*found), "It spans the cameras' views between the depths that the file gives.")
+
+
+def _grown(low: NDArray[Any], high: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The corners [3] of a box with a margin."""
+    grow = np.maximum(MARGIN * (high - low), 0.02 * (high - low).max() + 1e-6)
+    return low - grow, high + grow
+
+
+def together(points: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[Any]:
+    """Which points [N, 3] have neighbours, bool [N]; the others are outliers of structure from motion.
+
+    low, high: [3], between which all points lie. Not percentiles: a part of the scene with little texture has few points, but they lie
+    side by side. Points are counted in the cells of a grid and the 26 around each; the finest grid is used in which most points have
+    neighbours, so that sparse clouds are kept as well.
+    """
+    grids, share, least, part = APART
+    wanted = max(least, part * len(points))
+    keep = np.ones(len(points), bool)
+    for cells in grids:
+        index = np.clip((points - low) / (high - low).max() * cells, 0, cells - 1).astype(int) + 1
+        counts = np.zeros((cells + 2,) * 3, int)
+        np.add.at(counts, tuple(index.T), 1)
+        for axis in range(3):
+            counts = counts + np.roll(counts, 1, axis) + np.roll(counts, -1, axis)
+        keep = counts[tuple(index.T)] >= wanted
+        if keep.mean() >= share:
+            return np.asarray(keep)
+    return np.asarray(keep) if keep.any() else np.ones(len(points), bool)
+
+
+def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
+    """The corners [8, 3] of a camera's frustum between two depths, in world units."""
+    edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
+    origins, directions = camera.rays(edge)
+    along = directions @ -camera.camera_to_world[:3, 2]
+    return np.concatenate([origins + directions * (depth / along)[:, None] for depth in (near, far)])
