@@ -59,7 +59,7 @@ def quarter_turn(path: Path) -> tuple[int, bool]:
     if path.suffix.lower() in LINEAR:
         return 0, False
     with _open(path, header=True) as image, reading(path, "write it again", f"The image {path}"):
-        return TURNS.get(image.getexif().get(ExifTags.Base.Orientation), (0, False))
+        return TURNS.get(image.getexif().get(ExifTags.Base.Orientation, 1), (0, False))
 
 
 def read_image(path: Path, upright: bool = False) -> NDArray[Any]:
