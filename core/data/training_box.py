@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,9 @@ OUTWARD = 8.0  # half the box's side relative to the cameras' spread, where they
 class TrainingBox:
     """A box to train in, and how it was found."""
 
-    box: Box | None  # None for `focus_box`, which is found when it is asked for
+    box: Box | None  # None for the cube of the views (see `focus_box`), which renders without any other have
     origin: str  # a sentence or two: where it comes from, and what was repaired
+    opaque: Box | None = None  # in its place where pictures have neither alpha nor a plain backdrop: it holds the surroundings as well
 
 
 def training_box(source: Source) -> TrainingBox:
@@ -50,31 +51,29 @@ def training_box(source: Source) -> TrainingBox:
     share = crossing(stated, cameras)
     if share < STATED_CROSSED:
         text = f"Only {100 * share:.0f} % of the rays cross the box that the file states ({key}), so that another is measured."
-        return TrainingBox(measured.box, f"{text} {measured.origin}")
-    if stated.size.max() / 2 <= _reach(cameras, source.photographs):
+        return replace(measured, origin=f"{text} {measured.origin}")
+    if stated.size.max() / 2 <= FARTHEST and measured.opaque is None:
         return TrainingBox(stated, f"The file states it ({key}).")
-    whole = (measured.box or focus_box(tuple(cameras))).corners()
-    low, high = np.maximum(whole.min(axis=0), stated.corners().min(axis=0)), np.minimum(whole.max(axis=0), stated.corners().max(axis=0))
-    if not (low < high).all():
-        return measured
-    origin = f"{measured.origin} The file states a larger one ({key}), an upper bound."
-    return TrainingBox(Box.axis_aligned(low, high), origin)
+    box = _within(measured.box or focus_box(tuple(cameras)), stated)
+    opaque = None if measured.opaque is None else _within(measured.opaque, stated)
+    return TrainingBox(box, f"{measured.origin} The file states a larger one ({key}), an upper bound.", opaque)
 
 
-def _reach(cameras: list[Camera], photographs: bool) -> float:
-    """Twice the median distance from the cameras to what they look at, world units."""
-    if photographs:
-        return FARTHEST
-    centre = focus(tuple(cameras))[0]
-    return 2 * float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
+def _within(box: Box, bound: Box) -> Box:
+    """The part of a box inside a larger one, both axis-aligned; the box itself where they do not meet."""
+    low, high = (
+        np.maximum(box.corners().min(axis=0), bound.corners().min(axis=0)),
+        np.minimum(box.corners().max(axis=0), bound.corners().max(axis=0)),
+    )
+    return Box.axis_aligned(low, high) if (low < high).all() else box
 
 
 def measured_box(source: Source) -> TrainingBox:
-    """The box that a capture itself shows; `box` is None for renders whose cameras look at a centre."""
+    """The box that a capture itself shows."""
     cameras = tuple(view.camera for view in source.views)
     inward = look_inward(cameras, np.zeros(3) if source.photographs else focus(cameras)[0])
     if inward and not source.photographs:
-        return TrainingBox(None, "It is a cube around the point that the cameras look at, as wide as their pictures are there.")
+        return _renders_box(cameras)
     if source.points is not None and len(source.points) >= LEAST_POINTS:
         found = _points_box(cameras, source.points, inward)
         if found is not None:
@@ -82,6 +81,18 @@ def measured_box(source: Source) -> TrainingBox:
     if source.bounds is not None:
         return _frustums_box(cameras, source.bounds, inward)
     return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(cameras)
+
+
+def _renders_box(cameras: tuple[Camera, ...]) -> TrainingBox:
+    """The box of renders whose cameras look at a centre; `opaque` is None for one camera, which says nothing of the distance."""
+    origin = "It is a cube around the point that the cameras look at, as wide as their pictures are there"
+    centre = focus(cameras)[0]
+    distance = 1.5 * float(np.percentile([np.linalg.norm(c.position - centre) for c in cameras], 90))
+    if len(cameras) < 2 or not (np.isfinite(distance) and distance > 0):
+        return TrainingBox(None, f"{origin}.")
+    half = np.maximum(focus_box(cameras).size / 2, distance)
+    wide = Box.axis_aligned(centre - half, centre + half)
+    return TrainingBox(None, f"{origin}, or one that holds most cameras, where pictures have neither alpha nor a plain backdrop.", wide)
 
 
 _CUBE = "It is a cube around the point that the cameras look at, which holds most cameras."
