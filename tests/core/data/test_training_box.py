@@ -123,10 +123,9 @@ def test_a_room_without_points_is_guessed_and_says_so(photographs):
 
 
 def test_renders_that_look_inward_hold_their_surroundings_where_nothing_is_transparent():
-    found, _, _ = oriented(ring(12), ball(100, 5.0), photographs=False)
-    assert (
-        found.box.size.max() < 6 and found.opaque.size.min() == pytest.approx(12) and "neither alpha nor a plain backdrop" in found.origin
-    )
+    found, source, _ = oriented(ring(12), ball(100, 5.0), photographs=False)
+    assert found.box is None and Dataset(Path("a"), "train", source.views).suggested_box().size.max() < 6
+    assert found.opaque.size.min() == pytest.approx(12) and "neither alpha nor a plain backdrop" in found.origin
     stated = StatedBox(Box.axis_aligned([-2, -2, -1], [2, 2, 5]), "aabb_scale")
     bound, _, _ = oriented(ring(12), stated=stated, photographs=False)
     assert np.allclose(bound.opaque.corners(), stated.box.corners()) and bound.box.size.max() <= 4
