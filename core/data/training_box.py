@@ -12,6 +12,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from .coverage import crossing, facing, median_depth
 from .dataset import Source, focus, focus_box
+from .parallax import points_by_parallax
 
 DISTANCE = 4.0  # median distance in world units from a camera to what the cameras look at, as in NeRF-synthetic
 FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis, where the cameras look at the origin
@@ -23,6 +24,8 @@ CROSSED = 0.9  # share of the rays that must cross a box of points; of fewer, th
 STATED_CROSSED = 0.3  # share of the rays that must cross a box that a file states: an object in front of nothing needs no more
 LEAST_POINTS = 10  # that say anything of the scene
 APART = ((64, 32, 16, 8), 0.7, 4, 1e-4)  # see `together`: grids tried, share of points to keep, and neighbours: at least, share
+PARALLAX = (3.0, 97.0)  # percentiles of the points found by parallax, of which some are wrong, between which the box spans
+LEAST_PATCHES = 50  # found by parallax that say where the walls are
 OUTWARD = 8.0  # half the box's side relative to the cameras' spread, where they look outwards and nothing says how far they see
 
 
@@ -80,7 +83,7 @@ def measured_box(source: Source) -> TrainingBox:
             return found
     if source.bounds is not None:
         return _frustums_box(cameras, source.bounds, inward)
-    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(cameras)
+    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(source)
 
 
 def _renders_box(cameras: tuple[Camera, ...]) -> TrainingBox:
@@ -110,14 +113,22 @@ def _cube(cameras: tuple[Camera, ...]) -> Box:
     return Box.axis_aligned(-half, half)
 
 
-def _outward_box(cameras: tuple[Camera, ...]) -> TrainingBox:
-    """A cube around cameras that look outwards, where nothing says how far they see."""
-    positions = np.stack([c.position for c in cameras])
+def _outward_box(source: Source) -> TrainingBox:
+    """The box for cameras that look outward, without points or depth: from the pictures' own parallax, else a cube around the cameras."""
+    positions = np.stack([view.camera.position for view in source.views])
     middle = positions.mean(axis=0)
-    half = OUTWARD * float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
+    spread = float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
+    points = points_by_parallax(source.views, spread) if spread > 0 else np.zeros((0, 3))
+    if len(points) >= LEAST_PATCHES:
+        corners = np.concatenate([np.percentile(points, PARALLAX, axis=0), positions])
+        box = Box.axis_aligned(*_grown(corners.min(axis=0), corners.max(axis=0)))
+        return TrainingBox(
+            box, f"The cameras look outward, and there are no points: it spans {len(points)} patches that pictures agree on."
+        )
+    half = OUTWARD * (spread or 1.0)
     origin = (
-        f"The cameras look outward, and no points say how far away what they show is: it is a cube around them, {OUTWARD:g} times as wide "
-        f"as their spread. Give points, or a box (snerg_box), where the scene is larger or smaller than that."
+        f"The cameras look outward, and neither points nor the pictures say how far away what they show is: it is a cube around them, "
+        f"{OUTWARD:g} times as wide as their spread. Give points, or a box (snerg_box), where the scene is larger or smaller than that."
     )
     return TrainingBox(Box.axis_aligned(middle - half, middle + half), origin)
 
