@@ -61,6 +61,7 @@ class Dataset:
     views: tuple[View, ...]
     box: Box | None = None  # the region that training must explain; None for `focus_box`
     box_origin: str = ""  # a sentence that says where the box comes from
+    opaque_box: Box | None = None  # in its place where pictures have neither alpha nor a plain backdrop; None: the same
     points: NDArray[Any] | None = None  # [N, 3] float64, the points of structure from motion
     colours: NDArray[Any] | None = None  # [N, 3] uint8, their colours
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
@@ -174,6 +175,7 @@ class Source:
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
     stated: StatedBox | None = None  # the cube that another tool's file states; None if not given
     box_origin: str = ""  # a sentence that says where `box` comes from; empty before it has been found
+    opaque_box: Box | None = None  # see Dataset
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
     notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired

@@ -64,7 +64,7 @@ def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
     _split(source, split, options)  # before it is oriented, which needs several views
     source, similarity = orient(source) if source.photographs else (source, np.eye(4))
     found = training_box(source)
-    source = replace(source, box=found.box, box_origin=found.origin)
+    source = replace(source, box=found.box, box_origin=found.origin, opaque_box=found.opaque)
     return _dataset(source, split, options, similarity)
 
 
@@ -77,6 +77,7 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
         views=tuple(_reduced(source.views[i], source.factor) for i in chosen),
         box=source.box,
         box_origin=source.box_origin,
+        opaque_box=source.opaque_box,
         points=source.points,
         colours=source.colours,
         bounds=source.bounds[chosen] if source.bounds is not None else None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from .coverage import crossing, facing, median_depth
 from .dataset import Source, focus, focus_box
+from .parallax import points_by_parallax
 
 DISTANCE = 4.0  # median distance in world units from a camera to what the cameras look at, as in NeRF-synthetic
 FARTHEST = 2 * DISTANCE  # largest coordinate of the box, along each axis, where the cameras look at the origin
@@ -23,6 +24,8 @@ CROSSED = 0.9  # share of the rays that must cross a box of points; of fewer, th
 STATED_CROSSED = 0.3  # share of the rays that must cross a box that a file states: an object in front of nothing needs no more
 LEAST_POINTS = 10  # that say anything of the scene
 APART = ((64, 32, 16, 8), 0.7, 4, 1e-4)  # see `together`: grids tried, share of points to keep, and neighbours: at least, share
+PARALLAX = (3.0, 97.0)  # percentiles of the points found by parallax, of which some are wrong, between which the box spans
+LEAST_PATCHES = 50  # found by parallax that say where the walls are
 OUTWARD = 8.0  # half the box's side relative to the cameras' spread, where they look outwards and nothing says how far they see
 
 
@@ -30,8 +33,9 @@ OUTWARD = 8.0  # half the box's side relative to the cameras' spread, where they
 class TrainingBox:
     """A box to train in, and how it was found."""
 
-    box: Box | None  # None for `focus_box`, which is found when it is asked for
+    box: Box | None  # None for the cube of the views (see `focus_box`), which renders without any other have
     origin: str  # a sentence or two: where it comes from, and what was repaired
+    opaque: Box | None = None  # in its place where pictures have neither alpha nor a plain backdrop: it holds the surroundings as well
 
 
 def training_box(source: Source) -> TrainingBox:
@@ -50,38 +54,48 @@ def training_box(source: Source) -> TrainingBox:
     share = crossing(stated, cameras)
     if share < STATED_CROSSED:
         text = f"Only {100 * share:.0f} % of the rays cross the box that the file states ({key}), so that another is measured."
-        return TrainingBox(measured.box, f"{text} {measured.origin}")
-    if stated.size.max() / 2 <= _reach(cameras, source.photographs):
+        return replace(measured, origin=f"{text} {measured.origin}")
+    if stated.size.max() / 2 <= FARTHEST and measured.opaque is None:
         return TrainingBox(stated, f"The file states it ({key}).")
-    whole = (measured.box or focus_box(tuple(cameras))).corners()
-    low, high = np.maximum(whole.min(axis=0), stated.corners().min(axis=0)), np.minimum(whole.max(axis=0), stated.corners().max(axis=0))
-    if not (low < high).all():
-        return measured
-    origin = f"{measured.origin} The file states a larger one ({key}), an upper bound."
-    return TrainingBox(Box.axis_aligned(low, high), origin)
+    box = _within(measured.box or focus_box(tuple(cameras)), stated)
+    opaque = None if measured.opaque is None else _within(measured.opaque, stated)
+    return TrainingBox(box, f"{measured.origin} The file states a larger one ({key}), an upper bound.", opaque)
 
 
-def _reach(cameras: list[Camera], photographs: bool) -> float:
-    """Twice the median distance from the cameras to what they look at, world units."""
-    if photographs:
-        return FARTHEST
-    centre = focus(tuple(cameras))[0]
-    return 2 * float(np.median([np.linalg.norm(c.position - centre) for c in cameras]))
+def _within(box: Box, bound: Box) -> Box:
+    """The part of a box inside a larger one, both axis-aligned; the box itself where they do not meet."""
+    low, high = (
+        np.maximum(box.corners().min(axis=0), bound.corners().min(axis=0)),
+        np.minimum(box.corners().max(axis=0), bound.corners().max(axis=0)),
+    )
+    return Box.axis_aligned(low, high) if (low < high).all() else box
 
 
 def measured_box(source: Source) -> TrainingBox:
-    """The box that a capture itself shows; `box` is None for renders whose cameras look at a centre."""
+    """The box that a capture itself shows."""
     cameras = tuple(view.camera for view in source.views)
     inward = look_inward(cameras, np.zeros(3) if source.photographs else focus(cameras)[0])
     if inward and not source.photographs:
-        return TrainingBox(None, "It is a cube around the point that the cameras look at, as wide as their pictures are there.")
+        return _renders_box(cameras)
     if source.points is not None and len(source.points) >= LEAST_POINTS:
         found = _points_box(cameras, source.points, inward)
         if found is not None:
             return found
     if source.bounds is not None:
         return _frustums_box(cameras, source.bounds, inward)
-    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(cameras)
+    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(source)
+
+
+def _renders_box(cameras: tuple[Camera, ...]) -> TrainingBox:
+    """The box of renders whose cameras look at a centre; `opaque` is None for one camera, which says nothing of the distance."""
+    origin = "It is a cube around the point that the cameras look at, as wide as their pictures are there"
+    centre = focus(cameras)[0]
+    distance = 1.5 * float(np.percentile([np.linalg.norm(c.position - centre) for c in cameras], 90))
+    if len(cameras) < 2 or not (np.isfinite(distance) and distance > 0):
+        return TrainingBox(None, f"{origin}.")
+    half = np.maximum(focus_box(cameras).size / 2, distance)
+    wide = Box.axis_aligned(centre - half, centre + half)
+    return TrainingBox(None, f"{origin}, or one that holds most cameras, where pictures have neither alpha nor a plain backdrop.", wide)
 
 
 _CUBE = "It is a cube around the point that the cameras look at, which holds most cameras."
@@ -99,14 +113,22 @@ def _cube(cameras: tuple[Camera, ...]) -> Box:
     return Box.axis_aligned(-half, half)
 
 
-def _outward_box(cameras: tuple[Camera, ...]) -> TrainingBox:
-    """A cube around cameras that look outwards, where nothing says how far they see."""
-    positions = np.stack([c.position for c in cameras])
+def _outward_box(source: Source) -> TrainingBox:
+    """The box for cameras that look outward, without points or depth: from the pictures' own parallax, else a cube around the cameras."""
+    positions = np.stack([view.camera.position for view in source.views])
     middle = positions.mean(axis=0)
-    half = OUTWARD * float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
+    spread = float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
+    points = points_by_parallax(source.views, spread) if spread > 0 else np.zeros((0, 3))
+    if len(points) >= LEAST_PATCHES:
+        corners = np.concatenate([np.percentile(points, PARALLAX, axis=0), positions])
+        box = Box.axis_aligned(*_grown(corners.min(axis=0), corners.max(axis=0)))
+        return TrainingBox(
+            box, f"The cameras look outward, and there are no points: it spans {len(points)} patches that pictures agree on."
+        )
+    half = OUTWARD * (spread or 1.0)
     origin = (
-        f"The cameras look outward, and no points say how far away what they show is: it is a cube around them, {OUTWARD:g} times as wide "
-        f"as their spread. Give points, or a box (snerg_box), where the scene is larger or smaller than that."
+        f"The cameras look outward, and neither points nor the pictures say how far away what they show is: it is a cube around them, "
+        f"{OUTWARD:g} times as wide as their spread. Give points, or a box (snerg_box), where the scene is larger or smaller than that."
     )
     return TrainingBox(Box.axis_aligned(middle - half, middle + half), origin)
 

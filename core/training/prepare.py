@@ -114,7 +114,9 @@ def find_domain(
         return domain, ndc, occupied, [decision]
     progress(0.0, "Carving the visual hull")
     silhouettes, backdrop = find_silhouettes(dataset, settings, rays, masks)
-    domain, occupied = hull(dataset.suggested_box(), dataset.cameras, silhouettes)
+    plain = all(s is None for s in silhouettes)  # what is behind the scene must be explained too
+    box = dataset.opaque_box if plain and dataset.opaque_box is not None else dataset.suggested_box()
+    domain, occupied = hull(box, dataset.cameras, silhouettes)
     return domain, None, occupied, [decision, backdrop]
 
 

@@ -19,6 +19,7 @@ from snerg.core.data.training_box import TrainingBox, together, training_box
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
+from snerg.core.io.images import write_png
 
 ALL = DatasetOptions(holdout=0)
 DRAW = np.random.default_rng
@@ -116,15 +117,46 @@ def test_a_room_seen_from_inside_keeps_its_walls(scale):
     assert held(found.box, by, room() * scale) > 0.9
 
 
+def pictured(folder: Path, half: np.ndarray, contrast: float, count: int = 16) -> list[View]:
+    """Views from the middle of a room of `half` [3] to each side, whose walls are painted in patches of many sizes."""
+    views, waves = [], DRAW(0).normal(size=(24, 3)) * np.geomspace(1, 8, 24)[:, None]
+    for index, camera in enumerate(outward(count, 0.3)):
+        origins, directions = camera.rays()
+        walls = np.where(directions > 0, half, -half)
+        way = ((walls - origins) / np.where(directions == 0, 1e-9, directions)).min(axis=-1, keepdims=True)
+        paint = np.sign(np.sin((origins + way * directions) @ waves.T)).reshape(-1, 3, 8).mean(axis=-1)
+        pixels = (127 + contrast * 120 * paint).astype(np.uint8).reshape(camera.height, camera.width, 3)
+        write_png(folder / f"{index}.png", pixels)
+        views.append(View(camera, folder / f"{index}.png"))
+    return views
+
+
 @pytest.mark.parametrize("photographs", [True, False])
-def test_a_room_without_points_is_guessed_and_says_so(photographs):
-    found, _, by = oriented(outward(), photographs=photographs)
-    assert held(found.box, by, room()) > 0.95 and "look outward" in found.origin and "Give points, or a box" in found.origin
+@pytest.mark.parametrize("half", [(1.5, 1.5, 1.2), (5.0, 4.0, 2.0)])
+def test_a_room_without_points_is_measured_by_parallax(tmp_path, half, photographs):
+    source = Source(tmp_path, "transforms", tuple(pictured(tmp_path, np.array(half), 1.0)), photographs=photographs)
+    source, by = orient(source) if photographs else (source, np.eye(4))
+    found = training_box(source)
+    back = np.linalg.inv(by)
+    corners = found.box.corners() @ back[:3, :3].T + back[:3, 3]
+    across = np.abs(corners[:, :2]).max(axis=0)
+    assert (across > 0.85 * np.array(half)[:2]).all() and (across < 2 * max(half)).all() and "patches" in found.origin
 
 
-def test_renders_that_look_inward_keep_the_cube_of_their_views():
+def test_a_room_without_points_and_texture_is_guessed_and_says_so(tmp_path):
+    source = Source(tmp_path, "transforms", tuple(pictured(tmp_path, np.array([2.0, 2.0, 1.0]), 0.0)))
+    found = training_box(source)
+    assert found.box.contains(np.array([[2.0, 2.0, 1.0]])).all() and "Give points, or a box" in found.origin
+
+
+def test_renders_that_look_inward_hold_their_surroundings_where_nothing_is_transparent():
     found, source, _ = oriented(ring(12), ball(100, 5.0), photographs=False)
     assert found.box is None and Dataset(Path("a"), "train", source.views).suggested_box().size.max() < 6
+    assert found.opaque.size.min() == pytest.approx(12) and "neither alpha nor a plain backdrop" in found.origin
+    stated = StatedBox(Box.axis_aligned([-2, -2, -1], [2, 2, 5]), "aabb_scale")
+    bound, _, _ = oriented(ring(12), stated=stated, photographs=False)
+    assert np.allclose(bound.opaque.corners(), stated.box.corners()) and bound.box.size.max() <= 4
+    assert oriented(ring(12)[:1], photographs=False)[0].opaque is None
 
 
 @pytest.mark.parametrize("height", [1.0, 30.0])
