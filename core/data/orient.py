@@ -17,7 +17,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from .coverage import median_depth
 from .dataset import Source, StatedBox, focus
-from .training_box import DISTANCE, FORWARD, look_inward
+from .training_box import DISTANCE, FORWARD, look_inward, panoramic
 
 SURROUND = 2.0  # distance of what panoramas show, in the largest distance of one from their mean position, where there are no points
 AGREE = 0.5  # the cameras' up directions are used if the mean of these unit vectors is longer than this
@@ -72,11 +72,6 @@ def moved_cube(stated: StatedBox, similarity: NDArray[Any]) -> StatedBox:
     centre = similarity[:3, :3] @ stated.box.box_to_world[:3, 3] + similarity[:3, 3]
     half = stated.box.size / 2 * float(np.cbrt(np.linalg.det(similarity[:3, :3])))
     return replace(stated, box=Box.axis_aligned(centre - half, centre + half))
-
-
-def panoramic(cameras: Sequence[Camera]) -> bool:
-    """Whether most cameras are panoramas, whose view axis says nothing: the scene is all around them."""
-    return sum(camera.projection == "equirectangular" for camera in cameras) * 2 > len(cameras)
 
 
 def upward(cameras: Sequence[Camera]) -> NDArray[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -104,7 +105,12 @@ _CUBE = "It is a cube around the point that the cameras look at, which holds mos
 def look_inward(cameras: tuple[Camera, ...], centre: NDArray[Any]) -> bool:
     """Whether the cameras look at a centre [3], or all in one direction; not from the inside of a room to its walls."""
     mean = np.mean([-c.camera_to_world[:3, 2] for c in cameras], axis=0)
-    return bool(np.linalg.norm(mean) > FORWARD or facing(cameras, centre) > INWARD)
+    return not panoramic(cameras) and bool(np.linalg.norm(mean) > FORWARD or facing(cameras, centre) > INWARD)
+
+
+def panoramic(cameras: Sequence[Camera]) -> bool:
+    """Whether most cameras are panoramas, whose view axis says nothing: the scene is all around them."""
+    return sum(camera.projection == "equirectangular" for camera in cameras) * 2 > len(cameras)
 
 
 def _cube(cameras: tuple[Camera, ...]) -> Box:
@@ -118,7 +124,9 @@ def _outward_box(source: Source) -> TrainingBox:
     positions = np.stack([view.camera.position for view in source.views])
     middle = positions.mean(axis=0)
     spread = float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
-    points = points_by_parallax(source.views, spread) if spread > 0 else np.zeros((0, 3))
+    points = (
+        points_by_parallax(source.views, spread) if spread > 0 and not panoramic([v.camera for v in source.views]) else np.zeros((0, 3))
+    )
     if len(points) >= LEAST_PATCHES:
         corners = np.concatenate([np.percentile(points, PARALLAX, axis=0), positions])
         box = Box.axis_aligned(*_grown(corners.min(axis=0), corners.max(axis=0)))
@@ -221,5 +229,5 @@ def frustum(camera: Camera, near: float, far: float) -> NDArray[Any]:
     """The corners [8, 3] of a camera's frustum between two depths, in world units."""
     edge = np.array([[x, y] for x in (0, camera.width - 1) for y in (0, camera.height - 1)])
     origins, directions = camera.rays(edge)
-    along = directions @ -camera.camera_to_world[:3, 2]
+    along = camera.cosines(directions)
     return np.concatenate([origins + directions * (depth / along)[:, None] for depth in (near, far)])

@@ -18,6 +18,7 @@ from ..dataset import DatasetOptions, Source, View
 from ..depth import DepthFile
 from ..image_resolver import check_distinct, find_image, scaled_to, size_for
 from ..left_out import LeftOut, about_one_view
+from ..masks import mask_of
 
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # from OpenCV's camera axes (right, down, ahead) to (right, up, back)
 MAX_XML_BYTES = 2**28  # about 200,000 cameras of Metashape
@@ -56,7 +57,7 @@ def read_photographs(file: Path, folder: Path, listed: Iterable[Listed], options
                 missing.append(photograph.name)
                 continue
             with about_one_view():
-                views.append(_view(photograph, image, where))
+                views.append(_view(photograph, image, where, source["root"]))
             named.append((photograph.name, image))
     if missing and not views and not left_out.errors:
         raise SnergError(f"{file} lists {len(missing)} images, such as {missing[0]}, of which {folder} has none; put them there.")
@@ -70,7 +71,7 @@ def read_photographs(file: Path, folder: Path, listed: Iterable[Listed], options
     )  # fmt: skip
 
 
-def _view(photograph: Photograph, image: Path, where: str) -> View:
+def _view(photograph: Photograph, image: Path, where: str, root: Path) -> View:
     if photograph.size is None:
         size, upright = size_for(image, (1.0, 1.0))
         given, unit = (float(size[0]), float(size[1])), float(max(size))
@@ -89,7 +90,7 @@ def _view(photograph: Photograph, image: Path, where: str) -> View:
         distortion=photograph.distortion,
         projection=photograph.projection,
     )
-    return View(camera, image, upright=upright, depth=photograph.depth)
+    return View(camera, image, mask_of(root, image.name, image, where), upright=upright, depth=photograph.depth)
 
 
 def read_xml(path: Path) -> ElementTree.Element:

@@ -286,3 +286,12 @@ def test_results_and_videos_are_refused(tmp_path):
     for name, says in (("r.json", "OpenSfM"), ("m.json", "Meshroom")):
         with pytest.raises(SnergError, match=says):
             read_dataset(tmp_path / name)
+
+
+@pytest.mark.parametrize("mask", ["masks/000_mask.png", "000_mask.png", "masks/000.png"])
+def test_masks_of_metashape(tmp_path, mask):
+    write_metashape(tmp_path, ring(4))
+    folder = next(tmp_path.rglob("000.png")).parent
+    write_png((tmp_path if "/" in mask else folder) / mask, np.zeros((18, 24), np.uint8))
+    dataset = read_dataset(tmp_path, options=ALL)
+    assert not dataset.mask(0).any() and len(dataset.views) == 4 and not dataset.remarks()
