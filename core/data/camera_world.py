@@ -49,10 +49,10 @@ def from_nerfstudio(path: Path, root: Path) -> NDArray[Any]:
     try:
         transform, scale = _affine(value["transform"]), positive(value["scale"], "its scale")
         before, by = _affine(applied.get("applied_transform", np.eye(4))), positive(applied.get("applied_scale", 1.0), "applied_scale")
-        back = before @ np.linalg.inv(transform)
+        back: NDArray[Any] = before @ np.linalg.inv(transform)
     except (KeyError, TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
         raise SnergError(f"{file} or {listing} has no transform of 3 x 4 numbers, or no scale ({error}); copy it again.") from error
-    back[:3, :3] *= by / scale
+    back[:3, :3] = back[:3, :3] * (by / scale)
     return np.asarray(back)
 
 
