@@ -16,7 +16,7 @@ from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
 from .masks import unused_masks
 from .orient import orient
-from .readers import colmap, llff, metashape, polycam, realitycapture, record3d, sdfstudio, splats, transforms
+from .readers import bundler, colmap, llff, metashape, polycam, realitycapture, record3d, sdfstudio, splats, transforms
 from .readers.others import check_supported
 from .training_box import training_box
 
@@ -32,6 +32,7 @@ READERS: tuple[Reader, ...] = (  # (whether it knows the format of a path, its r
     (record3d.is_record3d, lambda path, _, options: record3d.read_record3d(path, options)),
     (metashape.is_metashape, lambda path, _, options: metashape.read_metashape(path, options)),
     (realitycapture.is_realitycapture, lambda path, _, options: realitycapture.read_realitycapture(path, options)),
+    (bundler.is_bundler, lambda path, _, options: bundler.read_bundler(path, options)),
 )
 
 
@@ -110,7 +111,7 @@ def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
     check_supported(path)
     raise SnergError(
         f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy, no COLMAP model in sparse/0, "
-        "and no cameras of Polycam, Record3D, Metashape or RealityCapture."
+        "and no cameras of Polycam, Record3D, Metashape, RealityCapture or Bundler."
     )
 
 

@@ -12,9 +12,9 @@ UNDISTORTED = "export it as COLMAP, or its cameras as XML (File, Export, Export 
 REGISTRATION = "export its registration as 'Internal/External camera parameters' (.csv), as metadata (XMP) or as COLMAP"
 EXPORT_COLMAP = "export it as COLMAP with the node ExportColmap"
 OPENSFM = "export it with OpenSfM's 'export_colmap', or convert it with nerfstudio's 'ns-process-data odm'"
-CONVERTER = "convert it with COLMAP's model_converter"
+BUNDLER = "export it as Bundler (bundle.out with its list of photographs) or as COLMAP"
 OPENMVG = "export it as COLMAP with openMVG_main_openMVG2Colmap"
-PIX4D = "export its cameras as COLMAP (PIX4Dmatic) or convert them with nerfstudio's 'ns-process-data' from a COLMAP run"
+PIX4D = "export it as Bundler (bundle.out with its list of photographs) or, from PIX4Dmatic, as COLMAP"
 MORE_FRAMES = "extract its frames and find their cameras, for instance with nerfstudio's 'ns-process-data video'"
 
 # A file by its suffix: (what it is, what to do).
@@ -26,9 +26,9 @@ FILES: dict[str, tuple[str, str]] = {
     **dict.fromkeys((".mg", ".sfm"), ("a project of Meshroom", EXPORT_COLMAP)),
     ".abc": ("an Alembic file, as Meshroom writes it", EXPORT_COLMAP),
     **dict.fromkeys((".p4d", ".p4m", ".bpj"), ("a project of Pix4D", PIX4D)),
-    **dict.fromkeys((".out", ".nvm"), ("a model of Bundler or VisualSFM", CONVERTER)),
+    ".nvm": ("a model of VisualSFM", BUNDLER),
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".insv"), ("a video", MORE_FRAMES)),
-    ".3dz": ("a project of 3DF Zephyr", "export its cameras as COLMAP or Bundler files, and those with COLMAP's model_converter"),
+    ".3dz": ("a project of 3DF Zephyr", BUNDLER),
 }
 
 # (what must lie in the folder: patterns of which one is there; what it is; what to do)
@@ -43,7 +43,7 @@ FOLDERS: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("opensfm", "reconstruction.json"), "a reconstruction of OpenSfM or ODM", OPENSFM),
     (("*.p4d", "*.p4m", "*_calibrated_camera_parameters.txt", "params/*_calibrated_camera_parameters.txt"), "a project of Pix4D", PIX4D),
     (("database.db",), "a project of COLMAP without a model", "run COLMAP's mapper, so that there is sparse/0"),
-    (("bundler/*.out", "*.bundle.out", "bundle.out", "*.out", "*.nvm"), "a model of Bundler or VisualSFM", CONVERTER),
+    (("*.nvm",), "a model of VisualSFM", BUNDLER),
     (("point_cloud/iteration_*",), "a result of Gaussian splatting", "give the capture that it was trained on, with its photographs"),
     (("*.mvs", "scene.mvs"), "a scene of OpenMVS", "give the capture that it was made from"),
 )

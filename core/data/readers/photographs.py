@@ -26,13 +26,15 @@ MAX_XML_BYTES = 2**28  # about 200,000 cameras of Metashape
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """One photograph as a tool lists it. Lengths are in pixels of `size`, or in its larger side where `size` is None."""
+    """One photograph as a tool lists it. Lengths are in pixels of `size`; where that is None, in the picture's larger side, or with
+    `in_pixels` in the picture's own pixels."""
 
     name: str  # of its picture, as the tool writes it: a path, a file name, or a file name without its suffix
     pose: NDArray[Any]  # [4, 4] float64, camera-to-world, OpenGL's axes
     focal: tuple[float, float]  # along x and y
     centre: tuple[float, float]  # principal point from the top left corner; from the middle of the picture where `size` is None
     size: tuple[float, float] | None = None  # (width, height) that the lens was found for; None: of any picture
+    in_pixels: bool = False
     distortion: Distortion | None = None
     projection: str = "perspective"
     depth: DepthFile | None = None
@@ -74,7 +76,7 @@ def read_photographs(file: Path, folder: Path, listed: Iterable[Listed], options
 def _view(photograph: Photograph, image: Path, where: str, root: Path) -> View:
     if photograph.size is None:
         size, upright = size_for(image, (1.0, 1.0))
-        given, unit = (float(size[0]), float(size[1])), float(max(size))
+        given, unit = (float(size[0]), float(size[1])), 1.0 if photograph.in_pixels else float(max(size))
     else:
         size, upright = size_for(image, photograph.size)
         given, unit = photograph.size, 1.0

@@ -135,6 +135,24 @@ def write_splats(folder: Path, cameras) -> Path:
     return folder
 
 
+def write_bundler(folder: Path, cameras) -> Path:
+    """As RealityCapture does: one photograph was not registered, and each line of the list has a focal length from EXIF."""
+    pictures(folder / "images", [*cameras, replace(cameras[0], name="zzz")])
+    lines = ["# Bundle file v0.3", f"{len(cameras) + 1} 12"]
+    for c in cameras:
+        turn = c.camera_to_world[:3, :3].T
+        k1, k2 = c.distortion.coefficients[:2] if c.distortion else (0.0, 0.0)
+        lines += [f"{c.focal[0]!r} {k1!r} {k2!r}", *(" ".join(map(repr, row)) for row in turn.tolist())]
+        lines.append(" ".join(map(repr, (-turn @ c.position).tolist())))
+    lines += ["0 0 0", *["0 0 0"] * 4]
+    for i in range(12):
+        lines += [f"{i * 0.1} 0.5 0.25", "255 128 0", "2 0 17 1.5 -2.5 1 3 4.5 6.5"]
+    (folder / "bundler").mkdir()
+    (folder / "bundler" / "bundle.out").write_text("\n".join(lines))
+    (folder / "bundler" / "list.txt").write_text("\n".join([f"C:\\scan\\{c.name}.JPG 0 26.0" for c in cameras] + ["zzz.JPG"]) + "\n")
+    return folder
+
+
 SQUARE = [replace(c, focal=(26.0, 26.0)) for c in ring(8)]  # square pixels, which RealityCapture assumes
 BENT = [replace(c, distortion=BROWN) for c in SQUARE]
 TOOLS = {
@@ -147,6 +165,7 @@ TOOLS = {
     "realitycapture": (write_realitycapture, BENT),
     "realitycapture, newer": (lambda folder, cameras: write_realitycapture(folder, cameras, True), BENT),
     "realitycapture, xmp": (write_sidecars, BENT),
+    "bundler": (write_bundler, [replace(c, centre=(12, 9), distortion=Distortion("opencv", (-0.1, 0.02))) for c in SQUARE]),
     "splats": (write_splats, [replace(c, centre=(12, 9)) for c in ring(8)]),
 }  # fmt: skip
 
@@ -159,7 +178,8 @@ def test_cameras_come_back(tmp_path, tool):
     written = moved(cameras, by)
     folder = write(tmp_path / "capture", written)
     dataset = read_dataset(folder, options=ALL)
-    assert kind_of(folder) == "dataset" and dataset.kind == tool.partition(",")[0] and not dataset.remarks()
+    assert kind_of(folder) == "dataset" and dataset.kind == tool.partition(",")[0]
+    assert not dataset.remarks() or (tool == "bundler" and "1 of the 9" in dataset.remarks()[0] and len(dataset.points) == 12)
     for index, (found, camera) in enumerate(zip(dataset.cameras, moved(written, dataset.source_to_world), strict=True)):
         assert np.allclose(found.position, camera.position, atol=1e-6) and dataset.read(index)[0, 0, 0] == index * 9 + 10
         assert np.allclose(found.rays()[1], camera.rays()[1], atol=1e-6)
@@ -264,7 +284,7 @@ def test_splats_bring_their_points(tmp_path):
         ("a.psx", "Metashape.*XML"),
         ("sfm_data.json", "OpenMVG.*openMVG2Colmap"),
         ("cameras.sfm", "Meshroom.*ExportColmap"),
-        ("bundle.out", "Bundler.*model_converter"),
+        ("a.nvm", "VisualSFM.*Bundler"),
         ("a.p4d", "Pix4D"),
         ("a.r3d", "Record3D|archive"),
     ],
@@ -286,6 +306,20 @@ def test_results_and_videos_are_refused(tmp_path):
     for name, says in (("r.json", "OpenSfM"), ("m.json", "Meshroom")):
         with pytest.raises(SnergError, match=says):
             read_dataset(tmp_path / name)
+
+
+def test_bundlers_list_and_counts_must_fit(tmp_path):
+    folder = write_bundler(tmp_path / "capture", SQUARE)
+    model, text = folder / "bundler" / "bundle.out", (folder / "bundler" / "bundle.out").read_text()
+    assert len(read_dataset(model, options=ALL).views) == 8  # the model itself, whose pictures lie a folder higher
+    for bad in (text[:300], text.replace("9 12", "900000000 12"), text.replace("9 12", "9 x")):
+        model.write_text(bad)
+        with pytest.raises(SnergError, match=r"bundle\.out.*export it again"):
+            read_dataset(folder, options=ALL)
+    model.write_text(text)
+    (folder / "bundler" / "list.txt").write_text("a.jpg\n")
+    with pytest.raises(SnergError, match=r"9 cameras.*list\.txt"):
+        read_dataset(folder, options=ALL)
 
 
 @pytest.mark.parametrize("mask", ["masks/000_mask.png", "000_mask.png", "masks/000.png"])
