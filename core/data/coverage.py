@@ -75,7 +75,7 @@ def seen(box: Box, cameras: Sequence[Camera]) -> float:
 
 
 def median_depth(cameras: Sequence[Camera], points: NDArray[Any]) -> float | None:
-    """The median over the cameras of the median depth of the points in view, world units; None when no camera sees a point."""
+    """The median over the cameras of the median depth of the points [N, 3] in view, world units; None when no camera sees a point."""
     points = points[:: max(1, len(points) // 20000)]
     depths = []
     for camera in some(cameras):
