@@ -75,13 +75,13 @@ def seen(box: Box, cameras: Sequence[Camera]) -> float:
 
 
 def median_depth(cameras: Sequence[Camera], points: NDArray[Any]) -> float | None:
-    """The median over the cameras of the median depth of the points in view, world units; None when no camera sees a point."""
+    """The median over the cameras of the median distance of the points [N, 3] in view, world units; None when no camera sees a point."""
     points = points[:: max(1, len(points) // 20000)]
     depths = []
     for camera in some(cameras):
         visible = points[camera.shows(points)]
         if len(visible):
-            depths.append(float(np.median((visible - camera.position) @ -camera.camera_to_world[:3, 2])))
+            depths.append(float(np.median(np.linalg.norm(visible - camera.position, axis=-1))))
     return float(np.median(depths)) if depths else None
 
 

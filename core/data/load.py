@@ -64,7 +64,7 @@ def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
         source = replace(source, notes=(*source.notes, said))
     _split(source, split, options)  # before it is oriented, which needs several views
     source, similarity = orient(source) if source.photographs else (source, np.eye(4))
-    found = training_box(source)
+    found = training_box(source, pictures=split == "train")
     source = replace(source, box=found.box, box_origin=found.origin, opaque_box=found.opaque)
     return _dataset(source, split, options, similarity)
 

@@ -22,6 +22,8 @@ MARGIN = 0.05  # added to the box on each side, as a part of its span
 FORWARD = 0.9  # the cameras are forward-facing if the mean of their unit view directions is longer than this
 INWARD = 0.5  # the cameras look at a centre if the mean cosine of their angles to it is above this
 CROSSED = 0.9  # share of the rays that must cross a box of points; of fewer, the points cover a part of what the pictures show
+KEPT = 0.7  # share of the points that must lie in their box; where fewer do, the others are a background and no outliers
+SURROUND = 1.5  # half the side of a cube around cameras in a room, relative to the median depth of the points in view
 STATED_CROSSED = 0.3  # share of the rays that must cross a box that a file states: an object in front of nothing needs no more
 LEAST_POINTS = 10  # that say anything of the scene
 APART = ((64, 32, 16, 8), 0.7, 4, 1e-4)  # see `together`: grids tried, share of points to keep, and neighbours: at least, share
@@ -39,15 +41,16 @@ class TrainingBox:
     opaque: Box | None = None  # in its place where pictures have neither alpha nor a plain backdrop: it holds the surroundings as well
 
 
-def training_box(source: Source) -> TrainingBox:
+def training_box(source: Source, pictures: bool = True) -> TrainingBox:
     """The box that training must explain, axis-aligned, in the source's world, which is oriented where it is of photographs.
 
     A box that the file gives as ours is taken as it is. A cube that another tool states is taken where rays cross it and it is not
     much larger than what the cameras show; a larger one is only an upper bound, as instant-ngp skips empty space at any size.
+    pictures: whether the pictures may be read where nothing else says how far the cameras see.
     """
     if source.box is not None:
         return TrainingBox(source.box, "The file gives it (snerg_box).")
-    measured = measured_box(source)
+    measured = measured_box(source, pictures)
     if source.stated is None:
         return measured
     cameras = [view.camera for view in source.views]
@@ -72,8 +75,8 @@ def _within(box: Box, bound: Box) -> Box:
     return Box.axis_aligned(low, high) if (low < high).all() else box
 
 
-def measured_box(source: Source) -> TrainingBox:
-    """The box that a capture itself shows."""
+def measured_box(source: Source, pictures: bool) -> TrainingBox:
+    """The box that a capture itself shows. pictures: see `training_box`."""
     cameras = tuple(view.camera for view in source.views)
     inward = look_inward(cameras, np.zeros(3) if source.photographs else focus(cameras)[0])
     if inward and not source.photographs:
@@ -84,7 +87,7 @@ def measured_box(source: Source) -> TrainingBox:
             return found
     if source.bounds is not None:
         return _frustums_box(cameras, source.bounds, inward)
-    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(source)
+    return TrainingBox(_cube(cameras), _CUBE) if inward else _outward_box(source, pictures)
 
 
 def _renders_box(cameras: tuple[Camera, ...]) -> TrainingBox:
@@ -119,14 +122,13 @@ def _cube(cameras: tuple[Camera, ...]) -> Box:
     return Box.axis_aligned(-half, half)
 
 
-def _outward_box(source: Source) -> TrainingBox:
+def _outward_box(source: Source, pictures: bool) -> TrainingBox:
     """The box for cameras that look outward, without points or depth: from the pictures' own parallax, else a cube around the cameras."""
     positions = np.stack([view.camera.position for view in source.views])
     middle = positions.mean(axis=0)
     spread = float(np.percentile(np.linalg.norm(positions - middle, axis=-1), 90))
-    points = (
-        points_by_parallax(source.views, spread) if spread > 0 and not panoramic([v.camera for v in source.views]) else np.zeros((0, 3))
-    )
+    legible = pictures and spread > 0 and not panoramic([view.camera for view in source.views])
+    points = points_by_parallax(source.views, spread) if legible else np.zeros((0, 3))
     if len(points) >= LEAST_PATCHES:
         corners = np.concatenate([np.percentile(points, PARALLAX, axis=0), positions])
         box = Box.axis_aligned(*_grown(corners.min(axis=0), corners.max(axis=0)))
@@ -165,17 +167,24 @@ def _points_box(cameras: tuple[Camera, ...], points: NDArray[Any], inward: bool)
     first, last = _grown(kept.min(axis=0), kept.max(axis=0))
     box, apart = Box.axis_aligned(first, last), len(points) - len(kept)
     origin = f"It spans {len(kept)} of {len(points)} points; the others lie apart." if apart else f"It spans the {len(points)} points."
-    if not inward:
-        return TrainingBox(box, origin)
     share = crossing(box, cameras)
-    wide = _cube(cameras) if share < CROSSED else _looked_at_cube(cameras)
-    corners = np.concatenate([box.corners(), wide.corners()])
-    whole = Box.axis_aligned(corners.min(axis=0), corners.max(axis=0))
-    if share >= CROSSED:
-        return TrainingBox(whole, origin)
-    part = f"The points lie on a part of what the pictures show: {100 * share:.0f} % of the rays cross their box. "
-    cube = f"It is the cube around what the cameras look at, grown to hold {len(kept)} of {len(points)} points."
-    return TrainingBox(whole, part + cube)
+    if share >= CROSSED and len(kept) >= KEPT * len(points):
+        return TrainingBox(_holding(box, _looked_at_cube(cameras)) if inward else box, origin)
+    part = (
+        f"The points lie on a part of what the pictures show: {100 * share:.0f} % of the rays cross the box of {len(kept)} of "
+        f"{len(points)} points. "
+    )
+    if inward:
+        return TrainingBox(_holding(box, _cube(cameras)), f"{part}So it also holds the cube around what the cameras look at.")
+    around = np.mean([c.position for c in cameras], axis=0)
+    cube = Box.axis_aligned(around - SURROUND * depth, around + SURROUND * depth)
+    return TrainingBox(_holding(box, cube), f"{part}So it reaches as far on all sides of the cameras.")
+
+
+def _holding(box: Box, other: Box) -> Box:
+    """The smallest axis-aligned box that holds both."""
+    corners = np.concatenate([box.corners(), other.corners()])
+    return Box.axis_aligned(corners.min(axis=0), corners.max(axis=0))
 
 
 def _looked_at_cube(cameras: tuple[Camera, ...]) -> Box:

@@ -117,6 +117,19 @@ def test_a_room_seen_from_inside_keeps_its_walls(scale):
     assert held(found.box, by, room() * scale) > 0.9
 
 
+def test_a_room_with_points_on_one_wall_is_held_whole():
+    wall = room(2700)
+    found, _, by = oriented(outward(), wall[wall[:, 1] == 4])
+    assert held(found.box, by, room()) > 0.95 and "as far on all sides" in found.origin
+
+
+def test_points_of_a_background_are_no_outliers():
+    tight = [replace(c, focal=(60.0, 60.0)) for c in ring(12)]
+    far = ball(400, 30.0, 1) * [1, 1, 0.3]
+    found, _, _ = oriented(tight, np.concatenate([ball(500, 1.0), far]))
+    assert found.box.size.min() > 11 and "500 of 900 points" in found.origin
+
+
 def pictured(folder: Path, half: np.ndarray, contrast: float, count: int = 16) -> list[View]:
     """Views from the middle of a room of `half` [3] to each side, whose walls are painted in patches of many sizes."""
     views, waves = [], DRAW(0).normal(size=(24, 3)) * np.geomspace(1, 8, 24)[:, None]
