@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from .data.dataset import Dataset
-from .data.load import read_dataset
-from .data.readers import colmap, llff, transforms
+from .data.load import is_capture, read_dataset
 from .data.readers.others import check_supported
 from .errors import SnergError
 from .export.reference import is_reference, read_reference
@@ -98,11 +97,11 @@ def check_kind(path: Path, wanted: tuple[str, ...], noun: str) -> Path:
 
 
 def is_dataset(path: Path) -> bool:
-    """Whether one of the readers knows the format of a capture at `path`. Its files are not read."""
+    """Whether one of the readers knows the format of a capture at `path`. Of its files no more than the first bytes are read."""
     try:
-        return transforms.is_transforms(path) or llff.is_llff(path) or colmap.is_colmap(path)
+        return is_capture(path)
     except OSError:
-        return False  # no permission to list the folder
+        return False  # no permission to list the folder or open a file
 
 
 def open_artifact(path: str | os.PathLike[str], progress: Progress = silent) -> Dataset | Field | Scene:

@@ -14,14 +14,16 @@ from ..core.data.load import read_dataset
 from ..core.data.readers.transforms import has_pictures, read_cameras
 from ..core.geometry.camera import Camera
 from ..core.io.files import read_edited_json
+from ..core.io.images import quarter_turn
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
 from ..snerg_addon.owner import blend_path
-from ..snerg_addon.project import Project
+from ..snerg_addon.project import Project, project_of
 from .import_operator import ImportOperator
 
 DISPLAY_SIZE = 0.05  # size of a camera in the viewport, as a fraction of its distance from the box's centre
+NOT_IN_BLENDER = (".avif", ".heic", ".heif", ".hif")  # suffixes of images that training reads and Blender does not
 TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test Views"}
 
 
@@ -49,10 +51,13 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         bare: dict[str, tuple[Camera, ...]] = result["bare"]
         add_dataset(parts, bare, scene, result["path"].stem)
         scene.snerg.dataset = blend_path(result["path"])
+        said = list(dict.fromkeys(remark for part in parts for remark in part.remarks()))
+        project.note_remarks(project_of(scene).dataset, said)
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
-        return " ".join([f"Imported {views} from {result['path']}.", *parts[0].remarks(), *alone, *limitations(every)])
+        unseen = unseen_images([view.image for part in parts for view in part.views])
+        return " ".join([f"Imported {views} from {result['path']}.", *said, *alone, *limitations(every), *unseen])
 
 
 def read_splits(path: Path, options: DatasetOptions, progress: Progress) -> dict[str, Any]:
@@ -111,7 +116,8 @@ def add_dataset(parts: list[Dataset], bare: dict[str, tuple[Camera, ...]], scene
 def add_view(view: View, collection: bpy.types.Collection, scene: bpy.types.Scene, middle: np.ndarray) -> bpy.types.Object:
     """Add a camera with its image as the background. middle: the box's centre [3]."""
     camera = add_camera(view.camera, Path(view.camera.name).stem or view.image.stem, collection, middle)
-    add_background(camera, view.image, scene, (view.camera.width, view.camera.height))
+    turn = quarter_turn(view.image) if view.upright else (0, False)
+    add_background(camera, view.image, scene, (view.camera.width, view.camera.height), turn)
     return camera
 
 
@@ -132,9 +138,18 @@ def most_common(cameras: list[Camera]) -> Camera:
     return next(camera for camera in cameras if (camera.width, camera.height) == size)
 
 
+def unseen_images(images: list[Path]) -> list[str]:
+    """A sentence about images that Blender cannot show as backgrounds; none where it shows all."""
+    count = sum(image.suffix.lower() in NOT_IN_BLENDER for image in images)
+    return [f"{count} images are AVIF or HEIC, which Blender does not show as backgrounds; training reads them."] if count else []
+
+
 def limitations(cameras: list[Camera]) -> list[str]:
     """Sentences about what Blender cannot show of these cameras."""
     sentences = []
+    wide = sum(camera.is_wide for camera in cameras)
+    if wide:
+        sentences.append(f"{wide} are panoramic, which only Cycles and SNeRG render; the viewport shows their view as a perspective one.")
     distorted = sum(camera.distortion is not None for camera in cameras)
     if distorted:
         sentences.append(

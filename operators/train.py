@@ -37,6 +37,7 @@ class SNERG_OT_train(TaskOperator, bpy.types.Operator):
         """Record the new version with the decisions of the training, and put it in use."""
         folder = project.version_made("field", result["field"])
         remember(project, "field", folder, result, decisions=result.get("decisions", []))
+        project.note_remarks(Path(str(result.get("dataset", project.dataset))), result.get("remarks", []))
         quality = f" at {result['psnr']:.1f} dB" if isinstance(result.get("psnr"), float) else ""
         return f"Trained the field{quality}; it is in {folder}"
 

@@ -15,6 +15,7 @@ from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
 from ..core.io.images import to_uint8
+from .panoramic import panoramic_camera, set_panoramic
 
 SENSOR = 36.0  # mm, the sensor width of the cameras that are created: Blender's default
 MAX_SHEAR = 1e-3  # largest cosine between two axes of a camera; rounding of Blender's float32 matrices gives less
@@ -36,19 +37,21 @@ def camera_from_blender(
 ) -> Camera:
     """The core camera with the projection that Blender computes, for every sensor fit, shift and pixel aspect (hard cases 1, 2, 3).
 
-    size: (width, height) in pixels, by default the scene's. Raises SnergError where the camera is neither perspective nor orthographic,
-    or its pose is sheared or mirrored.
+    size: (width, height) in pixels, by default the scene's. Raises SnergError where the camera is of another kind (see
+    `panoramic_camera`), or its pose is sheared or mirrored.
     """
     if camera.type != "CAMERA":
         raise SnergError(f"{camera.name!r} is not a camera; choose a camera.")
     kind = camera.data.type
-    if kind not in ("PERSP", "ORTHO"):
-        raise SnergError(f"The camera {camera.name!r} is {kind.lower()}; only perspective and orthographic cameras can be used.")
+    if kind not in ("PERSP", "ORTHO", "PANO"):
+        raise SnergError(f"The camera {camera.name!r} is {kind.lower()}; only perspective, orthographic and panoramic cameras can be used.")
     width, height = size or resolution(scene)
     evaluated = camera.evaluated_get(depsgraph)
     pose = np.array(evaluated.matrix_world, np.float64)
     if shear(pose) > MAX_SHEAR:
         raise SnergError(f"The camera {camera.name!r} is sheared by a parent that is scaled unevenly; apply the parent's scale.")
+    if kind == "PANO":
+        return panoramic_camera(evaluated, camera.name, pose, width, height)
     projection = np.array(
         evaluated.calc_matrix_camera(
             depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
@@ -85,12 +88,13 @@ def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene 
     data, (width, height) = camera.data, (source.width, source.height)
     aspect = source.focal[0] / source.focal[1]  # of a pixel: its height over its width
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR
-    if source.projection == "orthographic":
+    data.shift_x, data.shift_y = 0.5 - source.centre[0] / width, (source.centre[1] - height / 2) * aspect / width
+    if source.is_wide:
+        set_panoramic(data, source)
+    elif source.projection == "orthographic":
         data.type, data.ortho_scale = "ORTHO", width / source.focal[0]
     else:
         data.type, data.lens_unit, data.lens = "PERSP", "MILLIMETERS", source.focal[0] * SENSOR / width
-    data.shift_x = 0.5 - source.centre[0] / width
-    data.shift_y = (source.centre[1] - height / 2) * aspect / width
     if source.near > 0:
         data.clip_start = source.near
     if math.isfinite(source.far):
@@ -102,13 +106,18 @@ def set_camera(camera: bpy.types.Object, source: Camera, scene: bpy.types.Scene 
 
 def set_picture(scene: bpy.types.Scene, source: Camera) -> None:
     """Set a scene to the resolution and the pixel aspect of a camera."""
-    render, aspect = scene.render, source.focal[0] / source.focal[1]
+    render, aspect = scene.render, 1.0 if source.is_wide else source.focal[0] / source.focal[1]
     render.resolution_x, render.resolution_y, render.resolution_percentage = source.width, source.height, 100
     render.pixel_aspect_x, render.pixel_aspect_y = max(1.0, 1 / aspect), max(1.0, aspect)
 
 
-def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int]) -> None:
-    """Show an image of `size` (width, height) as the background of a camera that `set_camera` set, across the full width of its view."""
+def add_background(
+    camera: bpy.types.Object, path: Path, scene: bpy.types.Scene, size: tuple[int, int], turn: tuple[int, bool] = (0, False)
+) -> None:
+    """Show an image of `size` (width, height) as the background of a camera that `set_camera` set, across the full width of its view.
+
+    turn: how Blender, which ignores EXIF, must turn the image so that it has that size (see `images.quarter_turn`).
+    """
     width, height = resolution(scene)
     aspect = scene.render.pixel_aspect_y / scene.render.pixel_aspect_x  # Blender treats the image's pixels as square
     taller = size[1] / size[0] - height * aspect / width
@@ -116,6 +125,10 @@ def add_background(camera: bpy.types.Object, path: Path, scene: bpy.types.Scene,
     background.image = bpy.data.images.load(str(path), check_existing=True)  # the pixels are read when the image is first shown
     background.alpha, background.display_depth = 1.0, "BACK"
     background.frame_method = "STRETCH" if size == (width, height) else "CROP" if taller > 0 else "FIT"
+    if turn[0]:
+        background.rotation, background.use_flip_x = turn[0] * math.pi / 2, turn[1]  # positive is clockwise
+        background.frame_method = "FIT"  # of the image as it is stored, before it is turned
+        background.scale = max(size[1] / size[0], width / (height * aspect))
     camera.data.show_background_images = True
 
 

@@ -26,7 +26,8 @@ from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene, colour_settings, layer_warning
 from .render_evaluation import escaped, render, temporary_camera
 from .render_passes import check_passes, enable_light, file_extra, frame_extra, pass_files, write_passes
-from .shots import Shot, camera_of, evaluated_shots, frame_of, listed
+from .shots import Shot, camera_of, evaluated_shots, frame_of
+from .simulations import listed
 from .view_check import mismatch, why_clear
 
 TEXT_CHUNKS = (b"tEXt", b"zTXt", b"iTXt", b"eXIf", b"tIME")  # PNG chunks that hold texts and times

@@ -219,7 +219,7 @@ def merged(frames: list[Frame], things: list[Placed], camera: Camera) -> Picture
 def axis_cosines(camera: Camera) -> np.ndarray:
     """[H, W]: what a length along a pixel's ray is along the view axis."""
     _, directions = camera.rays()
-    return (directions @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
+    return camera.cosines(directions).reshape(camera.height, camera.width)
 
 
 def world_colour(scene: bpy.types.Scene) -> np.ndarray:

@@ -95,7 +95,10 @@ def camera_lines(cameras: tuple[Camera, ...], box: Box) -> np.ndarray:
     for camera in cameras:
         eye = camera.position
         depth = CAMERA_SIZE * float(np.linalg.norm(eye - box.box_to_world[:3, 3]))
-        x, y = (depth * side / 2 / focal for side, focal in zip((camera.width, camera.height), camera.focal, strict=True))
+        x, y = (
+            depth * (0.5 if camera.is_wide else side / 2 / focal)
+            for side, focal in zip((camera.width, camera.height), camera.focal, strict=True)
+        )
         corners = np.array([[sx * x, sy * y, -depth] for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
         corners = corners @ camera.camera_to_world[:3, :3].T + eye
         lines += [(eye, corner) for corner in corners]

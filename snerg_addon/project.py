@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -170,6 +170,16 @@ class Project:
         """Record facts about a step's result in status.json, with the time. Raises SnergError when the folder cannot be written."""
         notes = {**cached_json(self._notes), step: {**facts, "when": time.strftime("%Y-%m-%d %H:%M")}}
         write_bytes(self._notes, json_bytes(notes))
+
+    def note_remarks(self, dataset: Path, remarks: Sequence[str]) -> None:
+        """Record what the reader of a dataset passed over or repaired. Raises SnergError when the folder cannot be written."""
+        self.note("remarks", {"dataset": self.key(dataset), "sentences": list(remarks)})
+
+    def remarks(self) -> list[str]:
+        """What the reader passed over or repaired in the dataset in use, as it was last imported or trained on. Never raises."""
+        note = cached_json(self._notes).get("remarks")
+        sentences = note.get("sentences") if isinstance(note, dict) and note.get("dataset") == self.key(self.dataset) else None
+        return [str(sentence) for sentence in sentences] if isinstance(sentences, list) else []
 
     def note_of(self, version: Path) -> dict[str, Any]:
         """The facts that `remember` recorded about a version; {} where there are none, as for a stopped training. Never raises."""

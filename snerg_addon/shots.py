@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import bpy
 import numpy as np
@@ -14,9 +13,9 @@ from ..core.errors import SnergError
 from ..core.geometry.camera import Camera
 from .bridge import camera_from_blender
 from .render_evaluation import evaluate_render
+from .simulations import listed, simulation_warning
 
 SHIFT = 1e-5  # of an object between two frames, relative to its own size, that counts as movement; float32 rounding gives less
-NAMED = 3  # objects that a sentence names at most
 
 
 @dataclass(frozen=True)
@@ -62,8 +61,16 @@ def evaluated_shots(scene: bpy.types.Scene, shots: Sequence[Shot]) -> tuple[list
             places.append(places_in(depsgraph) if frame is not None else {})
 
         evaluate_render(scene, read, list(dict.fromkeys(some.values())), frame)
-    said = [blur_warning(sorted(blurred)), movement_warning(places), simulation_warning(scene)]
+    check_engine(scene, [cameras[index] for index in range(len(shots))])
+    said = [blur_warning(sorted(blurred)), movement_warning(places), simulation_warning(scene, [frame_of(shot) for shot in shots])]
     return [cameras[index] for index in range(len(shots))], [sentence for sentence in said if sentence]
+
+
+def check_engine(scene: bpy.types.Scene, cameras: Sequence[Camera]) -> None:
+    """Raise SnergError where one of the cameras is panoramic and the scene's engine would render it as something else."""
+    wide = [camera.name for camera in cameras if camera.is_wide]
+    if wide and scene.render.engine != "CYCLES":
+        raise SnergError(f"The camera {wide[0]!r} is panoramic, which only Cycles renders here; choose Cycles, or leave the camera out.")
 
 
 def blur_warning(names: Sequence[str]) -> str:
@@ -119,44 +126,3 @@ def centroid(thing: bpy.types.Object) -> np.ndarray:
     thing.data.vertices.foreach_get("co", points)
     points = points.reshape(-1, 3).astype(np.float64)
     return np.stack([points.mean(axis=0), np.sqrt((points**2).mean(axis=0))])
-
-
-def simulation_warning(scene: bpy.types.Scene) -> str:
-    """A sentence about simulations without a baked cache, whose state is not saved with the file; '' where there are none."""
-    names = sorted({name for name in unbaked(scene)})
-    if not names:
-        return ""
-    return f"The dataset may show {listed(names)} in another state of simulation than the viewport does, unless it is baked; bake it first."
-
-
-def unbaked(scene: bpy.types.Scene) -> Iterator[str]:
-    """The names of what is simulated in the scene, at its frame, without a baked cache."""
-    world = scene.rigidbody_world
-    bodies = world is not None and world.enabled and world.collection and len(world.collection.objects)
-    if bodies and not world.point_cache.is_baked and scene.frame_current > world.point_cache.frame_start:
-        yield "the rigid bodies"
-    for thing in scene.objects:
-        if any(is_unbaked(modifier, scene.frame_current) for modifier in thing.modifiers):
-            yield repr(thing.name)
-
-
-def is_unbaked(modifier: Any, frame: int) -> bool:
-    """Whether a modifier simulates, past its first frame, without a baked cache."""
-    if modifier.type == "NODES":
-        simulates = any(bake.node is not None and bake.node.bl_idname == "GeometryNodeSimulationOutput" for bake in modifier.bakes)
-        return simulates and modifier.show_render and frame > 1 and not has_files(bpy.path.abspath(modifier.bake_directory))
-    cache = getattr(getattr(modifier, "particle_system", modifier), "point_cache", None)
-    return cache is not None and modifier.show_render and not cache.is_baked and frame > cache.frame_start
-
-
-def has_files(folder: str) -> bool:
-    """Whether a path is a folder with anything in it."""
-    return bool(folder) and os.path.isdir(folder) and bool(os.listdir(folder))
-
-
-def listed(names: Sequence[str]) -> str:
-    """'A', 'A and B', 'A, B, C and 5 more'."""
-    shown = [name if name.startswith(("'", "the ")) else repr(name) for name in names[:NAMED]]
-    if len(names) > NAMED:
-        return f"{', '.join(shown)} and {len(names) - NAMED} more"
-    return " and ".join([", ".join(shown[:-1]), shown[-1]]) if len(shown) > 1 else shown[0]

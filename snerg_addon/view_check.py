@@ -98,7 +98,7 @@ def surface_points(scene: bpy.types.Scene, frame: int | None, camera: Camera, se
     small, depth = found
     rows, columns = np.nonzero(flat(depth))
     origins, directions = small.rays(np.stack([columns, rows], axis=-1))
-    along = depth[rows, columns] / -(directions @ small.camera_to_world[:3, 2])
+    along = depth[rows, columns] / small.cosines(directions)
     return np.asarray(origins + directions * along[:, None])
 
 

@@ -35,6 +35,8 @@ def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) 
     """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2)."""
     origins, directions = camera.rays()
     cosines = directions @ -camera.camera_to_world[:3, 2]  # near and far are planes, as Blender's clip start and end
+    if camera.projection in ("equirectangular", "fisheye"):  # and spheres for these
+        cosines = np.ones(len(directions))
     near, far = np.maximum(scene.near, camera.near / cosines), camera.far / cosines
     values, transmittance, depth = dense_rays(scene, origins, directions, near, per_sample_network, far)
     colour = values[:, :3].copy()

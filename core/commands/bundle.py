@@ -6,13 +6,14 @@ import argparse
 from pathlib import Path
 
 from ..artifact import Result, kind_of
+from ..data.camera_world import in_training_world
 from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
 from ..export.scene_files import codec_of, is_current
 from ..io.generation import one_generation
 from ..io.lock import writes_out
-from ..progress import Progress, silent
+from ..progress import Note, Progress, silent
 from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
@@ -28,14 +29,21 @@ def bundle_scene(
     single_file: bool = False,
     progress: Progress = silent,
     codec: CodecSettings | None = None,
+    dataset: Path | None = None,
 ) -> Result:
     """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
-    cameras: a transforms file whose cameras the page lists. codec: of the scene's pictures; the scene's own when None.
+    cameras: a transforms file whose cameras the page lists. dataset: as in `render_views`. codec: of the scene's pictures; the scene's
+    own when None.
     """
     check_out(out, "page", scene, *([cameras] if cameras else []))
     viewer_files()
-    views = read_cameras(cameras) if cameras else ()
+    listed = read_cameras(cameras) if cameras else ()
+    if cameras and dataset is not None:
+        listed = in_training_world(listed, cameras, dataset)
+    views = tuple(camera for camera in listed if not camera.is_wide)
+    if len(views) < len(listed):
+        progress(0.0, Note(f"{len(listed) - len(views)} panoramic or fisheye cameras are left out: a web page cannot draw them."))
 
     def opened() -> tuple[Scene, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
@@ -53,13 +61,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
     parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
+    parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     add_codec_options(parser, "the scene's own")
 
 
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
-    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec_settings(options))
+    codec = codec_settings(options)
+    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset)
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..artifact import Result, artifact_at, kind_of, open_field
+from ..data.coverage import coverage
 from ..data.dataset import Dataset
 from ..data.depth import PASSES
 from ..data.load import read_dataset, read_split
@@ -62,6 +63,7 @@ def _dataset_info(path: Path) -> Result:
     transparent = has_alpha(train.read(0))
     decision, _ = forward_facing("auto", train.cameras, train.points, train.bounds, transparent)
     box = train.suggested_box()
+    measured = coverage(box, train.cameras, train.points)
     lenses = sorted({camera.distortion.model for camera in cameras if camera.distortion})
     return {
         "source": train.kind,
@@ -72,12 +74,17 @@ def _dataset_info(path: Path) -> Result:
         "masks": sum(view.mask is not None for part in opened for view in part.views),
         "depth": _depth_info(opened),
         "passes": {name: sum(name in v.passes for part in opened for v in part.views) for name in PASSES},
+        "projections": sorted({camera.projection for camera in cameras}),
         "distortion": lenses,
         "points": 0 if train.points is None else len(train.points),
         "bounds": None if train.bounds is None else [float(train.bounds[:, 0].min()), float(train.bounds[:, 1].max())],
         "box": train.box.to_json() if train.box else None,
         "suggested_box": box.to_json(),
         "suggested_size": [round(float(side), 4) for side in box.size],
+        "box_origin": train.box_origin,
+        "box_rays": round(measured.rays, 4),
+        "box_seen": round(measured.seen, 4),
+        "box_points": None if measured.points is None else round(measured.points, 4),
         "forward_facing": decision.chosen,
         "evidence": decision.evidence,
         "without_image": train.skipped_frames,

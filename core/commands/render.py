@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..artifact import Result
+from ..data.camera_world import in_training_world
 from ..data.readers.transforms import read_cameras
 from ..geometry.camera import Camera
 from ..io.files import new_folder
@@ -33,14 +34,19 @@ def render_views(
     height: int | None = None,
     progress: Progress = silent,
     settings: MarchSettings = DEFAULT_MARCH,
+    dataset: Path | None = None,
 ) -> Result:
     """Render a scene from each camera of a transforms file into PNG files with straight alpha.
 
-    width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. Raises SnergError on
-    bad input, Cancelled when `progress` does; then `out` is as it was.
+    width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. dataset: the capture in whose own
+    world the cameras are (see in_training_world); None: they are in the scene's world.
+    Raises SnergError on bad input, Cancelled when `progress` does; then `out` is as it was.
     """
     check_out(out, "pictures", scene, cameras)
-    views = [resized(camera, width, height) for camera in read_cameras(cameras, (width, height))]
+    read = read_cameras(cameras, (width, height))
+    if dataset is not None:
+        read = in_training_world(read, cameras, dataset)
+    views = [resized(camera, width, height) for camera in read]
     snerg = ready_scene(scene, settings)
     names = file_names([camera.name for camera in views])
     began = time.perf_counter()
@@ -83,6 +89,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
+    parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
     parser.add_argument("--height", type=count, metavar="H")
     add_march_options(parser)
@@ -91,7 +98,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg render`."""
     settings = march_settings(options)
-    return render_views(options.scene, options.cameras, options.out, options.width, options.height, progress, settings)
+    return render_views(
+        options.scene, options.cameras, options.out, options.width, options.height, progress, settings, options.dataset
+    )  # fmt: skip
 
 
 COMMAND = Command("render", "render a scene from cameras", add_options, run)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..artifact import Result
-from ..data.dataset import DatasetOptions
+from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
 from ..io.files import folder_bytes
@@ -70,15 +70,17 @@ def train_field(
                 field = train(views, settings, folder, progress, resume=state == UNFINISHED, preview=show)
         if folder != out and writes():
             finish(folder, out)
-        return _trained(out, field, len(views.views), resumed=state != NEW)
+        return _trained(out, field, dataset, views, resumed=state != NEW)
 
 
-def _trained(out: Path, field: Field, views: int, resumed: bool) -> Result:
+def _trained(out: Path, field: Field, dataset: Path, views: Dataset, resumed: bool) -> Result:
     """The result of `train_field`."""
     about = field.about
     return {
         "field": str(out),
-        "views": views,
+        "dataset": str(dataset),
+        "views": len(views.views),
+        "remarks": views.remarks(),
         "resumed": resumed,
         "steps": about.get("steps"),
         "seconds": about.get("seconds"),

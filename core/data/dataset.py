@@ -16,12 +16,9 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.images import read_image, read_mask, read_size, reduced
 from .depth import DepthFile, read_depth, read_pass
+from .opacity import Opacity
 
 HELD_OUT = ("val", "test")  # both name the views held out of a source that has no splits of its own
-
-
-class UnsupportedLens(SnergError):
-    """One camera has a lens that is not supported; the others of its dataset can still be read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +34,8 @@ class View:
     image_size: tuple[int, int] | None = None  # (width, height) of the image in pixels; None if its header has not been read
     depth: DepthFile | None = None  # the depth image that the source names
     passes: Mapping[str, Path] = field(default_factory=dict)  # other passes of a renderer by name: 'normal', 'diffuse', 'glossy'
+    crop_radius: float | None = None  # image pixels around its middle outside of which the image shows nothing
+    opacity: Opacity | None = None  # what makes pixels transparent beside the image's own alpha
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,9 @@ class Dataset:
     root: Path
     split: str
     views: tuple[View, ...]
-    box: Box | None = None  # the region that training must explain; None if the source does not give one
+    box: Box | None = None  # the region that training must explain; None for `focus_box`
+    box_origin: str = ""  # a sentence that says where the box comes from
+    opaque_box: Box | None = None  # in its place where pictures have neither alpha nor a plain backdrop; None: the same
     points: NDArray[Any] | None = None  # [N, 3] float64, the points of structure from motion
     colours: NDArray[Any] | None = None  # [N, 3] uint8, their colours
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
@@ -88,7 +89,8 @@ class Dataset:
         Raises SnergError when it cannot be read, or is not as large as when the dataset was read.
         """
         view = self.views[index]
-        pixels = reduced(read_image(view.image, upright=True) if view.upright else read_image(view.image), view.factor)
+        pixels = read_image(view.image, upright=True) if view.upright else read_image(view.image)
+        pixels = reduced(pixels if view.opacity is None else view.opacity.applied(pixels, view.upright), view.factor)
         if pixels.shape[:2] != (view.camera.height, view.camera.width):
             raise SnergError(f"The image {view.image} changed its size since the dataset was opened; open it again.")
         return pixels
@@ -96,11 +98,14 @@ class Dataset:
     def mask(self, index: int) -> NDArray[Any] | None:
         """The pixels of view `index` to train on, bool [H, W]; None for all of them.
 
-        Pixels that the mask hides are excluded, and those for which the distortion model is not valid (see Camera.valid_pixels).
-        Raises SnergError when the mask cannot be read.
+        Pixels that the mask hides are excluded, those outside of the crop radius, and those for which the distortion model is not valid
+        (see Camera.valid_pixels). Raises SnergError when the mask cannot be read.
         """
         view = self.views[index]
         valid = view.camera.valid_pixels()
+        if view.crop_radius is not None:
+            inside = _circle(view.camera, view.crop_radius / view.factor)
+            valid = inside if valid is None else valid & inside
         if view.mask is None:
             return valid
         width, height, factor = view.camera.width, view.camera.height, view.factor
@@ -147,6 +152,14 @@ class Dataset:
 
 
 @dataclass(frozen=True, eq=False)
+class StatedBox:
+    """The cube in which another tool trains, by its file. It may be the scene's size or an upper bound."""
+
+    box: Box  # axis-aligned
+    key: str  # of the file, for messages
+
+
+@dataclass(frozen=True, eq=False)
 class Source:
     """What a reader found: all views, in the source's own world, their cameras at the size of the images."""
 
@@ -160,10 +173,19 @@ class Source:
     points: NDArray[Any] | None = None  # [N, 3] float64
     colours: NDArray[Any] | None = None  # [N, 3] uint8
     bounds: NDArray[Any] | None = None  # [V, 2] float64, the nearest and the farthest depth in each view
-    half_extent: float | None = None  # half the side of the cube around the origin that the scene fills; None if not given
+    stated: StatedBox | None = None  # the cube that another tool's file states; None if not given
+    box_origin: str = ""  # a sentence that says where `box` comes from; empty before it has been found
+    opaque_box: Box | None = None  # see Dataset
     factor: int = 1  # by which the images are still to be reduced along each side
     skipped_frames: int = 0  # frames that have no image
     notes: tuple[str, ...] = ()  # sentences that say what was passed over or repaired
+    up: NDArray[Any] | None = None  # [3] unit vector, the up direction of photographs that the source states; None: found from the cameras
+
+
+def _circle(camera: Camera, radius: float) -> NDArray[Any]:
+    """The pixels of a camera's image within `radius` pixels of its middle, bool [H, W]."""
+    across, down = np.arange(camera.width) + 0.5 - camera.width / 2, np.arange(camera.height) + 0.5 - camera.height / 2
+    return np.asarray(np.hypot(across[None], down[:, None]) <= radius)
 
 
 def focus(cameras: tuple[Camera, ...]) -> tuple[NDArray[Any], bool]:
@@ -190,7 +212,7 @@ def focus_box(cameras: tuple[Camera, ...]) -> Box:
     centre, _ = focus(cameras)
     half_widths = []
     for camera in cameras:
-        tangent = max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
+        tangent = 1.0 if camera.is_wide else max(camera.width / camera.focal[0], camera.height / camera.focal[1]) / 2
         distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(camera.position - centre))
         half_widths.append(tangent * distance)
     half = float(np.median(half_widths))

@@ -85,7 +85,7 @@ def read_depth(file: DepthFile, camera: Camera, factor: int, scale: float) -> ND
     depth = _blocks(_fitted(file.path, depth, camera, factor), camera, factor)
     if file.along_ray:
         _, directions = camera.rays()
-        depth = depth * (directions @ -camera.camera_to_world[:3, 2]).reshape(depth.shape)
+        depth = depth * camera.cosines(directions).reshape(depth.shape)
     return np.ascontiguousarray(depth, np.float32)
 
 

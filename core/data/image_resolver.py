@@ -16,7 +16,8 @@ from ..geometry.camera import Camera
 from ..io.images import lies_down, read_size
 from ..io.paths import inside
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif")  # in this order where one stem has several
+# In this order where one stem has several.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".tif", ".tiff", ".bmp", ".avif", ".heic", ".heif", ".hif")
 ABSOLUTE = re.compile(r"/|[a-zA-Z]:/")  # how an absolute path begins, of this machine or another
 SPLIT_FOLDERS = ("train", "val", "test")  # whose pictures have the same names
 FOLDERS = ("input", "image", "imgs", "photos", "rgb")  # where tools keep photographs beside a folder 'images', in this order
@@ -107,6 +108,11 @@ def _listing(folder: Path) -> dict[str, list[str]]:
         return {}
 
 
+def folders_in(root: Path, names: tuple[str, ...]) -> list[Path]:
+    """The folders in `root` that are called one of `names`, which are in lower case, ignoring theirs; in the order of `names`."""
+    return [root / real for name in names for real in _listing(root).get(name, []) if (root / real).is_dir()]
+
+
 @lru_cache(maxsize=64)
 def _names(folder: Path, _changed: int) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
@@ -147,7 +153,7 @@ def scaled_to(size: tuple[int, int], given: tuple[float, float], where: str, **c
         )
     sx, sy = width / w, height / h
     (fx, fy), (cx, cy) = camera.pop("focal"), camera.pop("centre")
-    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera)
+    return Camera(width=width, height=height, focal=(fx * sx, fy * sy), centre=(cx * sx, cy * sy), **camera).widened()
 
 
 def image_folder(root: Path, downscale: int, where: str) -> tuple[Path, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,15 +14,31 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.guard import reading
 from .dataset import HELD_OUT, Dataset, DatasetOptions, Source, View
+from .masks import unused_masks
 from .orient import orient
-from .readers import colmap, llff, transforms
+from .readers import bundler, colmap, llff, metashape, polycam, realitycapture, record3d, sdfstudio, splats, transforms
 from .readers.others import check_supported
+from .training_box import training_box
 
 DEFAULT_OPTIONS = DatasetOptions()
+Reader = tuple[Callable[[Path], bool], Callable[[Path, str, DatasetOptions], Source]]
+READERS: tuple[Reader, ...] = (  # (whether it knows the format of a path, its reader), in the order in which they are tried
+    (splats.is_splats, lambda path, _, options: splats.read_splats(path, options)),
+    (sdfstudio.is_sdfstudio, sdfstudio.read_sdfstudio),
+    (transforms.is_transforms, transforms.read_transforms),
+    (llff.is_llff, lambda path, _, options: llff.read_llff(path, options)),
+    (colmap.is_colmap, lambda path, _, options: colmap.read_colmap(path, options)),
+    (polycam.is_polycam, lambda path, _, options: polycam.read_polycam(path, options)),
+    (record3d.is_record3d, lambda path, _, options: record3d.read_record3d(path, options)),
+    (metashape.is_metashape, lambda path, _, options: metashape.read_metashape(path, options)),
+    (realitycapture.is_realitycapture, lambda path, _, options: realitycapture.read_realitycapture(path, options)),
+    (bundler.is_bundler, lambda path, _, options: bundler.read_bundler(path, options)),
+)
 
 
 def read_dataset(path: str | os.PathLike[str], split: str = "train", options: DatasetOptions = DEFAULT_OPTIONS) -> Dataset:
-    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), or a COLMAP model with its images.
+    """One split of a capture: a transforms file or its folder, an LLFF folder (poses_bounds.npy), a COLMAP model with its images, or what
+    Polycam, Record3D, Metashape, RealityCapture or Gaussian splatting export (see docs/captures.md).
 
     Reads the header of each image, not its pixels. Raises SnergError when there is no such dataset or split, or an image, pose or lens
     is missing or invalid.
@@ -43,8 +60,12 @@ def read_split(dataset: Dataset, split: str) -> Dataset:
 
 def _read_dataset(path: Path, split: str, options: DatasetOptions) -> Dataset:
     source = read_source(path, split, options)
+    if len(source.names) < 2 and (said := unused_masks(source.root, source.views)):  # else they may be of other splits
+        source = replace(source, notes=(*source.notes, said))
     _split(source, split, options)  # before it is oriented, which needs several views
     source, similarity = orient(source) if source.photographs else (source, np.eye(4))
+    found = training_box(source, pictures=split == "train")
+    source = replace(source, box=found.box, box_origin=found.origin, opaque_box=found.opaque)
     return _dataset(source, split, options, similarity)
 
 
@@ -56,6 +77,8 @@ def _dataset(source: Source, split: str, options: DatasetOptions, similarity: ND
         split=split,
         views=tuple(_reduced(source.views[i], source.factor) for i in chosen),
         box=source.box,
+        box_origin=source.box_origin,
+        opaque_box=source.opaque_box,
         points=source.points,
         colours=source.colours,
         bounds=source.bounds[chosen] if source.bounds is not None else None,
@@ -76,22 +99,25 @@ def _reduced(view: View, factor: int) -> View:
 
 
 def read_source(path: Path, split: str, options: DatasetOptions) -> Source:
-    """Read the dataset at `path` with the reader of its format: transforms, LLFF or COLMAP, tried in this order.
+    """Read the dataset at `path` with the first of READERS that knows its format.
 
     The result is in the source's own world, not oriented. Raises SnergError when no reader recognises it, or as the reader does.
     """
     if not path.exists():
         raise SnergError(f"The dataset {path} does not exist; check the path.")
-    if transforms.is_transforms(path):
-        return transforms.read_transforms(path, split, options)
-    if llff.is_llff(path):
-        return llff.read_llff(path, options)
-    if colmap.is_colmap(path):
-        return colmap.read_colmap(path, options)
+    for recognises, read in READERS:
+        if recognises(path):
+            return read(path, split, options)
     check_supported(path)
     raise SnergError(
-        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy and no COLMAP model in sparse/0."
+        f"{path} is no dataset: it has no transforms.json, no transforms_train.json, no poses_bounds.npy, no COLMAP model in sparse/0, "
+        "and no cameras of Polycam, Record3D, Metashape, RealityCapture or Bundler."
     )
+
+
+def is_capture(path: Path) -> bool:
+    """Whether one of READERS knows the format of a capture at `path`. Raises OSError when a folder or file may not be read."""
+    return any(recognises(path) for recognises, _ in READERS)
 
 
 def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[int], tuple[str, ...]]:
@@ -110,5 +136,6 @@ def _split(source: Source, split: str, options: DatasetOptions) -> tuple[list[in
     if split == "train" and len(splits[split]) < 2:
         raise SnergError(
             f"The dataset {source.root} has {len(splits[split])} image to train on; a scene needs several, from different places."
+            + "".join(f" {note}" for note in source.notes[-1:])
         )
     return splits[split], tuple(sorted(names, key=lambda n: n != "train"))

@@ -39,8 +39,8 @@ def write_bundle(
 ) -> dict[str, Any]:
     """Write index.html, viewer.js, cameras.json and scene/ (see scene_files.write_scene_files), whole or not at all.
 
-    cameras: the cameras that the page lists; it opens at the first. single_file: write index.html alone, with the rest inside.
-    source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
+    rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
@@ -97,11 +97,14 @@ def check_showable(scene: Scene, codec: CodecSettings) -> None:
 
 
 def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
-    """The value of cameras.json: pixels from the top left corner, OpenGL camera-to-world, world units. The page ignores distortion."""
+    """The value of cameras.json: pixels from the top left corner, OpenGL camera-to-world, world units. The page ignores distortion.
+
+    Panoramas and fisheyes that are computed in angles are left out: the page cannot draw them.
+    """
     return {
         "format": "snerg-cameras",
         "version": 1,
-        "cameras": [camera.to_json() for camera in cameras],
+        "cameras": [camera.to_json() for camera in cameras if not camera.is_wide],
     }
 
 

@@ -16,35 +16,38 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.guard import why
 from ..io.schema import FAR, text
-from .distortion import Distortion
+from . import wide
+from .distortion import MAX_ANGLE, Distortion
 
-PROJECTIONS = ("perspective", "orthographic")
+PROJECTIONS = ("perspective", "orthographic", *wide.PROJECTIONS)
 MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A perspective camera, with lens distortion if it has any, or an orthographic one.
+    """A perspective camera, with lens distortion if it has any, an orthographic one, or a wide one: a panorama or a fisheye (see wide.py).
 
+    Depth, and so the near and the far plane, is along the view axis, but of a wide camera along the ray.
     Raises SnergError when a value is out of range or not finite.
     """
 
     width: int  # pixels
     height: int  # pixels
-    focal: tuple[float, float]  # (x, y) in pixels; of an orthographic camera, pixels per world unit
+    focal: tuple[float, float]  # (x, y) in pixels; of an orthographic camera, pixels per world unit; of a wide one, pixels per radian
     centre: tuple[float, float]  # (x, y) principal point in pixels from the top left corner
     camera_to_world: NDArray[Any]  # [4, 4] float64, rigid (see `rigid`)
-    projection: str = "perspective"  # or 'orthographic'
+    projection: str = "perspective"  # or 'orthographic', 'equirectangular' (a panorama) or 'fisheye'
     name: str = ""
-    near: float = 0.0  # distance along the view axis, in world units, before which nothing is visible
+    near: float = 0.0  # depth, in world units, before which nothing is visible
     distortion: Distortion | None = None  # of the lens; None for an ideal one
-    far: float = math.inf  # distance along the view axis, in world units, behind which nothing is visible
+    far: float = math.inf  # depth, in world units, behind which nothing is visible
+    widest: float = math.pi  # of a fisheye: radians from the view axis beyond which its picture shows nothing
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
         if self.projection not in PROJECTIONS:
-            raise SnergError(f"Camera {self.name!r} is {self.projection}; only perspective and orthographic cameras are supported.")
+            raise SnergError(f"Camera {self.name!r} is {self.projection}; its projection must be one of {', '.join(PROJECTIONS)}.")
         if self.width * self.height > MAX_PIXELS:
             raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; the most is {MAX_PIXELS} in all.")
         if not (math.isfinite(self.near) and self.near >= 0):
@@ -55,14 +58,27 @@ class Camera:
             raise SnergError(f"Camera {self.name!r} has a focal length of {self.focal} pixels; it must be finite and above 0.")
         if not np.isfinite(self.centre).all():
             raise SnergError(f"Camera {self.name!r} has a principal point of {self.centre}; it must be finite.")
-        if self.distortion is not None and self.projection != "perspective":
-            raise SnergError(f"Camera {self.name!r} is {self.projection} and has a lens; only perspective cameras have one.")
+        if self.distortion is not None and self.projection not in ("perspective", "fisheye"):
+            raise SnergError(f"Camera {self.name!r} is {self.projection} and has a lens; only perspective cameras and fisheyes have one.")
+        if self.projection == "fisheye" and self.distortion is not None and self.distortion.model != "fisheye":
+            raise SnergError(f"Camera {self.name!r} is a fisheye with a lens of the model {self.distortion.model}; it must be 'fisheye'.")
+        if not 0 < self.widest <= math.pi:
+            raise SnergError(f"Camera {self.name!r} sees {self.widest} radians from its axis; it must be above 0 and at most pi.")
         object.__setattr__(self, "camera_to_world", rigid(self.camera_to_world, f"Camera {self.name!r}"))
 
     @property
     def position(self) -> NDArray[Any]:
         """[3] float64, world units."""
         return self.camera_to_world[:3, 3]
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether it is a panorama or a fisheye that is computed in angles: its depth is the distance from the camera."""
+        return self.projection in wide.PROJECTIONS
+
+    def cosines(self, directions: NDArray[Any]) -> NDArray[Any]:
+        """Depth per length along rays of unit directions [N, 3], [N]: the cosine to the view axis, which is 1 for a wide camera."""
+        return np.ones(len(directions)) if self.is_wide else np.asarray(directions @ -self.camera_to_world[:3, 2])
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another resolution in pixels."""
@@ -82,6 +98,9 @@ class Camera:
         """
         pixels = self.pixels() if pixels is None else pixels
         flat = self._normalised(pixels)
+        if self.is_wide:
+            wide_directions = wide.directions(self.projection, flat, self._angular()) @ self.camera_to_world[:3, :3].T
+            return np.broadcast_to(self.position, wide_directions.shape).copy(), wide_directions
         if self.distortion is not None:
             flat = self.distortion.undistort(flat)
         x, y = flat[:, 0], -flat[:, 1]
@@ -99,7 +118,12 @@ class Camera:
         return np.stack([columns.ravel(), rows.ravel()], axis=-1)
 
     def valid_pixels(self) -> NDArray[Any] | None:
-        """The pixels for which the distortion model is valid (see Distortion.is_valid), bool [H, W]; None if it is valid for all."""
+        """The pixels for which the distortion model is valid (see Distortion.is_valid), and that a fisheye shows, bool [H, W]; None if
+        these are all."""
+        if self.projection == "fisheye":
+            k = self._angular()
+            seen = wide.angles(np.linalg.norm(self._normalised(self.pixels()), axis=-1), k) <= min(self.widest, wide.last_angle(k))
+            return None if seen.all() else seen.reshape(self.height, self.width)
         if self.distortion is None:
             return None
         across, down = np.arange(self.width), np.arange(self.height)
@@ -125,16 +149,35 @@ class Camera:
     def moved(self, similarity: NDArray[Any]) -> Camera:
         """The camera transformed by a similarity [4, 4] to another world; its near and far distances are scaled as well."""
         scale = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
-        focal = self.focal if self.projection == "perspective" else (self.focal[0] / scale, self.focal[1] / scale)
+        focal = self.focal if self.projection != "orthographic" else (self.focal[0] / scale, self.focal[1] / scale)
         return replace(self, camera_to_world=similarity @ self.camera_to_world, near=self.near * scale, far=self.far * scale, focal=focal)
 
     def _normalised(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """Pixels (column, row) [N, 2] to normalised image coordinates [N, 2] of their centres: at depth 1, x right, y down."""
         return np.asarray((pixels + 0.5 - np.array(self.centre)) / np.array(self.focal))
 
+    def _angular(self) -> wide.Coefficients:
+        return () if self.distortion is None else self.distortion.coefficients
+
+    def widened(self) -> Camera:
+        """The camera as a fisheye that is computed in angles, where its lens is a fisheye whose picture reaches past MAX_ANGLE."""
+        if self.projection != "perspective" or self.distortion is None or self.distortion.model != "fisheye":
+            return self
+        corners = np.array([[x, y] for x in (0, self.width - 1) for y in (0, self.height - 1)])
+        radius = np.linalg.norm(self._normalised(corners), axis=-1).max()
+        k = self._angular()
+        limit = math.radians(MAX_ANGLE)
+        past = wide.last_angle(k) > limit and radius > wide.distorted(np.array([limit]), k)[0]
+        return replace(self, projection="fisheye") if past else self
+
     def project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """World points [N, 3] to (pixel coordinates [N, 2], depth along the view axis [N])."""
+        """World points [N, 3] to (pixel coordinates [N, 2], depth [N]: along the view axis, or of a wide camera the distance)."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
+        if self.is_wide:
+            pixels = np.array(self.centre) + np.array(self.focal) * wide.flats(self.projection, local, self._angular(), self.widest)
+            if self.projection == "equirectangular":
+                pixels[:, 0] %= 2 * math.pi * self.focal[0]  # all round: from the left border on
+            return pixels, np.linalg.norm(local, axis=-1)
         depth = -local[:, 2]
         scale = np.ones_like(depth) if self.projection == "orthographic" else 1 / np.where(depth == 0, np.inf, depth)
         flat = local[:, :2] * [1, -1] * scale[:, None]
@@ -167,6 +210,7 @@ class Camera:
             **({"far": float(self.far)} if math.isfinite(self.far) else {}),
             "camera_to_world": self.camera_to_world.tolist(),
             **({"distortion": self.distortion.to_json()} if self.distortion is not None else {}),
+            **({"widest": float(self.widest)} if self.widest < math.pi else {}),
         }
 
     @classmethod
@@ -185,11 +229,17 @@ class Camera:
                 near=float(value["near"]),
                 far=float(value.get("far", math.inf)),
                 distortion=Distortion.from_json(value["distortion"]) if value.get("distortion") is not None else None,
+                widest=float(value.get("widest", math.pi)),
             )
         except SnergError:
             raise
         except Exception as error:  # whatever a value of another kind raises
             raise SnergError(f"A camera is incomplete or damaged ({why(error)}); write the file again.") from error
+
+
+def panorama_focal(width: float, height: float) -> tuple[float, float]:
+    """The focal lengths, in pixels per radian, of a panorama of `width` x `height` pixels that shows 360 x 180 degrees."""
+    return width / (2 * math.pi), height / math.pi
 
 
 def focal_from_angle(angle: float, pixels: int, where: str) -> float:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image, ImageOps, features
 
 from ..errors import SnergError
 from .files import write_bytes
@@ -24,18 +24,25 @@ FLAT_PIXELS = 2**24  # pixels that an image may have however small its file is
 FLAT_MASK = 2**26  # the same for a mask, which has one channel and may be white everywhere
 PIXELS_PER_BYTE = 256  # pixels per byte of file that larger images may have: a PNG of one RGBA colour has 250, others have fewer
 MAX_BYTES = 2**31  # of an image's file
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")  # some other formats of Pillow start external programs
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "AVIF")  # and HEIF; some other formats of Pillow start external programs
 LINEAR = (".exr",)  # read with OpenImageIO
 QUARTER_TURNS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+TURNS = {5: (-1, True), 6: (1, False), 7: (1, True), 8: (-1, False)}  # these orientations as (quarter turns clockwise, mirrored first)
+ENDS = {"PNG": b"IEND", "JPEG": b"\xff\xd9"}  # the last part of each whole file
+MAX_BOXES = 64  # of an AVIF or HEIC file at its top level
+TAIL = 4096  # bytes at the end of a file in which that part is looked for
 DEEP = ("I;16", "I;16B", "I;16L", "I;16N", "I", "F")  # Pillow clips these instead of scaling them
 
 
 def read_size(path: Path) -> tuple[int, int]:
-    """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does."""
+    """(width, height) from the header alone, in pixels. Raises SnergError as `read_image` does, and for a file that was cut short."""
     if path.suffix.lower() in LINEAR:
         return _Linear(path).size
     with _open(path, header=True) as image:
-        return image.size
+        size, kind = image.size, str(image.format)
+    if _may_be_cut(path, kind):
+        read_image(path)  # its last bytes are another program's, or missing: the decoder knows
+    return size
 
 
 def lies_down(path: Path) -> bool:
@@ -46,13 +53,23 @@ def lies_down(path: Path) -> bool:
         return image.getexif().get(ExifTags.Base.Orientation) in QUARTER_TURNS
 
 
+def quarter_turn(path: Path) -> tuple[int, bool]:
+    """How the EXIF orientation of an image that `lies_down` turns it up: (quarter turns clockwise, whether it is mirrored first, left to
+    right); (0, False) for other images."""
+    if path.suffix.lower() in LINEAR:
+        return 0, False
+    with _open(path, header=True) as image, reading(path, "write it again", f"The image {path}"):
+        return TURNS.get(image.getexif().get(ExifTags.Base.Orientation, 1), (0, False))
+
+
 def read_image(path: Path, upright: bool = False) -> NDArray[Any]:
     """Read an image as uint8 [H, W, 3 or 4], sRGB, with straight alpha where the file has alpha.
 
     upright: turn it by its EXIF orientation.
 
     16-bit channels are rounded to 8 bits. OpenEXR, which is linear with premultiplied alpha, is converted.
-    Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or is OpenEXR and OpenImageIO is not installed.
+    Raises SnergError when the file is missing, damaged or larger than MAX_PIXELS, or is OpenEXR or HEIC and OpenImageIO or pillow-heif is
+    not installed.
     """
     if path.suffix.lower() in LINEAR:
         return _Linear(path).read()
@@ -127,10 +144,11 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
     the file states for a part of itself, which may be gigabytes.
     """
     size = _check_image_file(path)
+    formats = _formats(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MAX_PIXELS decides
-            image = Image.open(path if header else io.BytesIO(path.read_bytes()), formats=FORMATS)
+            image = Image.open(path if header else io.BytesIO(path.read_bytes()), formats=formats)
     except Exception as error:  # Pillow's readers of headers raise what they like
         raise SnergError(f"The image {path} cannot be read as a picture ({why(error)}).") from error
     try:
@@ -139,6 +157,50 @@ def _open(path: Path, flat: int = FLAT_PIXELS, header: bool = False) -> Image.Im
         image.close()
         raise
     return image
+
+
+def _formats(path: Path) -> tuple[str, ...]:
+    """The names by which Pillow knows the formats that a file may have. HEIC, which phones write, is known by its content: it is often
+    called .jpg. Raises SnergError when no decoder is installed for the file."""
+    with reading(path, "write it again", f"The image {path}"), open(path, "rb") as file:
+        head = file.read(64)
+    if head[4:8] != b"ftyp":
+        return FORMATS
+    if b"avif" in head or b"avis" in head:
+        if not features.check("avif"):
+            raise SnergError(f"The image {path} is AVIF, which this Pillow lacks: run 'pip install -U pillow', or convert it to PNG.")
+        return FORMATS
+    try:
+        import pillow_heif
+    except ImportError as error:
+        raise SnergError(
+            f"The image {path} is HEIC, which needs the package pillow-heif: run 'pip install pillow-heif', or convert it to JPEG."
+        ) from error
+    pillow_heif.register_heif_opener()
+    return ("HEIF",)
+
+
+def _may_be_cut(path: Path, kind: str) -> bool:
+    """Whether the end of a file is not as its format has it: a file that was copied in part has a whole header. Reads a few bytes."""
+    with reading(path, "write it again", f"The image {path}"), open(path, "rb") as file:
+        length = path.stat().st_size
+        if kind in ENDS:
+            file.seek(max(length - TAIL, 0))
+            return ENDS[kind] not in file.read()
+        if kind == "WEBP":
+            return int.from_bytes(file.read(8)[4:], "little") + 8 > length
+        if kind not in ("AVIF", "HEIF"):
+            return False
+        at = 0
+        for _ in range(MAX_BOXES):  # of ISO 14496-12: size, name, content
+            file.seek(at)
+            size = int.from_bytes(file.read(8)[:4], "big")
+            if size == 1:  # the size follows in 64 bits
+                size = int.from_bytes(file.read(8), "big")
+            if size < 8 or at + size >= length:
+                return at + size > length  # 0 is up to the end of the file
+            at += size
+        return True
 
 
 def check_size(path: Path, width: int, height: int, size: int | None = None, flat: int = FLAT_PIXELS) -> None:

@@ -65,7 +65,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
         inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         seen[alive] |= inside
-        if mask is None:
+        if mask is None or camera.is_wide:  # near a panorama's poles and seam a sphere may cover any number of pixels
             continue
         spread = dilated(mask, _footprint(camera, depth[inside], radius))
         gone = inside.copy()

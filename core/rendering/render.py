@@ -97,13 +97,16 @@ def tiled_pixels(width: int, height: int) -> NDArray[Any]:
 
 def _seen_span(scene: Scene, camera: Camera, pixels: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any] | None]:
     """World units along the rays of pixels [N, 2], each [N] or None for infinity: where they begin, and where they end."""
-    if camera.near == 0 and camera.far == np.inf:
+    if camera.near == 0 and camera.far == np.inf and camera.projection != "fisheye":
         return np.full(len(pixels), scene.near), None
     _, directions = camera.rays(pixels)
-    cosines = directions @ -camera.camera_to_world[:3, 2]
+    cosines = camera.cosines(directions)
     ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
     cosines = np.where(ahead, cosines, 1)
     far = None if camera.far == np.inf else np.where(ahead, camera.far / cosines, np.inf)
+    valid = camera.valid_pixels() if camera.projection == "fisheye" else None
+    if valid is not None:  # outside of its circle a fisheye shows nothing
+        far = np.where(valid[pixels[:, 1], pixels[:, 0]], np.inf if far is None else far, 0)
     return np.maximum(scene.near, camera.near / cosines), far
 
 

@@ -167,7 +167,7 @@ def _images(data: Dataset, progress: Progress) -> tuple[Decision, Decision]:
 
 def lens(cameras: Sequence[Camera]) -> Decision:
     """Whether the cameras have lens distortion, and by how many pixels at the edges of the images."""
-    bent = {(c.distortion, c.width, c.height, c.focal, c.centre): c for c in cameras if c.distortion is not None}
+    bent = {(c.distortion, c.width, c.height, c.focal, c.centre): c for c in cameras if c.distortion is not None and not c.is_wide}
     if not bent:
         return Decision(LENS, False, "The source of the cameras gives no lens distortion.", 0.0, 0.0)
     pixels = max(_bend(camera) for camera in bent.values())

@@ -104,8 +104,9 @@ def forward_facing(
     near, far = _depths(frame, cameras, points, bounds)
     summary = f"The cameras look up to {angle:.0f} degrees away from their mean direction (forward-facing: {FACING:.0f} at most)"
     reasons = []
-    if any(c.projection != "perspective" for c in cameras):
-        reasons.append("some are orthographic")
+    others = sorted({c.projection for c in cameras} - {"perspective"})
+    if others:
+        reasons.append(f"some are {' and '.join(others)}")
     if angle > FACING:
         reasons.append("they surround the scene")
     elif near is None or far is None:

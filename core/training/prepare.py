@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.coverage import coverage
 from ..data.dataset import HELD_OUT, Dataset
 from ..data.load import read_split
 from ..errors import SnergError
@@ -61,7 +62,7 @@ def prepare(dataset: Dataset, settings: TrainSettings, progress: Progress, held_
     domain, ndc, occupied, of_space = find_domain(dataset, settings, rays, masks, progress)
     rays.domain, rays.ndc = domain, ndc
     if ndc is None:
-        require_crossing_rays(rays, settings.seed)
+        of_space.append(training_box(dataset, rays, settings.seed))
     rng = np.random.default_rng(settings.seed)
     sampler, of_sampling = make_sampler(settings, rays, occupied, rng)
     views = len(dataset.views)
@@ -113,7 +114,9 @@ def find_domain(
         return domain, ndc, occupied, [decision]
     progress(0.0, "Carving the visual hull")
     silhouettes, backdrop = find_silhouettes(dataset, settings, rays, masks)
-    domain, occupied = hull(dataset.suggested_box(), dataset.cameras, silhouettes)
+    plain = all(s is None for s in silhouettes)  # what is behind the scene must be explained too
+    box = dataset.opaque_box if plain and dataset.opaque_box is not None else dataset.suggested_box()
+    domain, occupied = hull(box, dataset.cameras, silhouettes)
     return domain, None, occupied, [decision, backdrop]
 
 
@@ -141,18 +144,24 @@ def find_silhouettes(
     return found, decision
 
 
-def require_crossing_rays(rays: RayDataset, seed: int) -> None:
-    """Raises SnergError when no ray of CROSSING_RAYS training rays crosses the domain: the loss would be 0 and nothing would be learned."""
+def training_box(dataset: Dataset, rays: RayDataset, seed: int) -> Decision:
+    """What the training box is, with the share of CROSSING_RAYS training rays that cross it.
+
+    Raises SnergError when none does: the loss would be 0 and nothing would be learned.
+    """
     origins, directions, near, far, _ = rays.rays(rays.draw(CROSSING_RAYS, np.random.default_rng(seed)))
     enter, leave = clip_rays(rays.domain, origins, directions, near)
-    if (np.minimum(leave, far) > enter).any():
-        return
-    box = rays.domain.world_box().corners()
-    low, high = (", ".join(f"{v:.4g}" for v in corner) for corner in (box.min(axis=0), box.max(axis=0)))
-    raise SnergError(
-        f"No camera sees the training box, which spans ({low}) to ({high}): none of {CROSSING_RAYS} rays tried crosses it; "
-        "give a box around what the cameras look at, or correct the poses."
-    )
+    share = float((np.minimum(leave, far) > enter).mean())
+    box = rays.domain.world_box()
+    if not share:
+        low, high = (", ".join(f"{v:.4g}" for v in corner) for corner in (box.corners().min(axis=0), box.corners().max(axis=0)))
+        raise SnergError(
+            f"No camera sees the training box, which spans ({low}) to ({high}): none of {CROSSING_RAYS} rays tried crosses it; "
+            "give a box around what the cameras look at, or correct the poses."
+        )
+    measured = replace(coverage(box, dataset.cameras, dataset.points), rays=share)
+    size = " x ".join(f"{side:.3g}" for side in box.size)
+    return Decision("Training box", size, f"{dataset.box_origin} {measured.text().capitalize()}".strip(), share)
 
 
 def make_sampler(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SnergError
+from ..geometry import wide
 from ..geometry.camera import Camera
 from ..geometry.distortion import Distortion, Lenses
 from ..geometry.ndc import Ndc, space_rays
@@ -49,8 +50,11 @@ class RayDataset:
 
     def _set_lenses(self, cameras: Sequence[Camera]) -> None:
         """Collect the distinct distortions, so that rays of all views with the same one are undistorted together."""
-        kinds = list(dict.fromkeys(c.distortion for c in cameras))
-        self.lens = np.array([kinds.index(c.distortion) for c in cameras])
+        self.wide = np.array([c.is_wide for c in cameras])
+        self.wide_kinds = [(c.projection, c.distortion.coefficients if c.distortion else ()) if c.is_wide else None for c in cameras]
+        bent = [None if c.is_wide else c.distortion for c in cameras]
+        kinds = list(dict.fromkeys(bent))
+        self.lens = np.array([kinds.index(distortion) for distortion in bent])
         straight = Distortion("opencv")
         self.lenses = Lenses([k or straight for k in kinds]) if kinds != [None] else None
 
@@ -123,6 +127,7 @@ class RayDataset:
         view = self._view(index)
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         flat = (np.stack([column, row], axis=-1) + 0.5 - self.centre[view]) / self.focal[view]
+        of_wide = self._wide_directions(view, flat)
         if self.lenses is not None:
             flat = self.lenses.undistort(self.lens[view], flat)
         pose = self.pose[view]
@@ -131,7 +136,21 @@ class RayDataset:
         parallel = self.parallel[view, None]
         view_directions = np.where(parallel, -back, across - back)
         view_directions /= np.linalg.norm(view_directions, axis=-1, keepdims=True)
+        if of_wide is not None:
+            view_directions = np.where(self.wide[view, None], np.einsum("nij,nj->ni", pose[:, :3, :3], of_wide), view_directions)
         origins = np.where(parallel, pose[:, :3, 3] + across, pose[:, :3, 3])
         origins, directions, near, far = space_rays(self.ndc, origins, view_directions, self.near[view])
         scale = self.domain.scale
         return (origins - self.domain.centre) * scale, directions, near * scale, far * scale, view_directions
+
+    def _wide_directions(self, view: NDArray[Any], flat: NDArray[Any]) -> NDArray[Any] | None:
+        """Local unit directions [N, 3] of the flat coordinates [N, 2] of pixels of views [N], 0 where the view is not wide; None where none
+        is."""
+        if not self.wide.any():
+            return None
+        result = np.zeros((len(view), 3))
+        for kind in dict.fromkeys(self.wide_kinds):
+            if kind is not None:
+                rows = np.flatnonzero(np.array([k == kind for k in self.wide_kinds])[view])
+                result[rows] = wide.directions(kind[0], flat[rows], kind[1])
+        return result

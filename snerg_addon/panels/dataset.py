@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
@@ -11,7 +12,7 @@ from .. import activity
 from ..bridge import box_of, resolution
 from ..capture import views_rendered
 from ..project import Project, no_dataset, project_of
-from .layout import LINE_WIDTH, Step, draw_box, joined, megabytes
+from .layout import LINE_WIDTH, Step, draw_box, draw_sentence, joined, megabytes
 
 
 class DatasetStep(Step):
@@ -34,10 +35,22 @@ class DatasetStep(Step):
         layout.prop(settings, "dataset", text="Train On")
         if settings.dataset and (problem := no_dataset(project, settings.dataset)):
             draw_box(layout, *textwrap.wrap(problem, LINE_WIDTH))
+        draw_remarks(layout, project.remarks())
         note = project.notes().get("dataset", {})
         if note and not settings.dataset:
             views = f"{note.get('train')} + {note.get('test')} test views"
             draw_box(layout, views, joined(f"{note.get('width')} x {note.get('height')} px", megabytes(note)))
+
+
+def draw_remarks(layout: bpy.types.UILayout, remarks: Sequence[str]) -> None:
+    """What the reader of the dataset passed over or repaired, under its own heading."""
+    if not remarks:
+        return
+    header, body = layout.panel("SNERG_dataset_remarks", default_closed=False)
+    header.label(text=f"{len(remarks)} note{'s' if len(remarks) > 1 else ''} on the dataset", icon="INFO")
+    if body:
+        for remark in remarks:
+            draw_sentence(body.column(align=True), remark, "DOT")
 
 
 def draw_cameras(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:

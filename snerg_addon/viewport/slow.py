@@ -117,7 +117,7 @@ def as_textures(view: View, reduction: int, frame: Frame) -> tuple[np.ndarray, n
     textures interpolate, and infinity is none."""
     camera = reduced(view.camera, reduction)
     _, directions = camera.rays()
-    cosines = (directions @ -camera.camera_to_world[:3, 2]).reshape(camera.height, camera.width)
+    cosines = camera.cosines(directions).reshape(camera.height, camera.width)
     depths = np.where(np.isfinite(frame.depth), frame.depth, 0) * cosines
     depths = np.where(np.isfinite(frame.depth), (depths + view.shift) * view.scale, depths.max(initial=0) * view.scale)
     colour = np.concatenate([frame.colour, frame.alpha[..., None]], axis=-1)

@@ -13,6 +13,7 @@ from stage import add_camera
 
 from scenes import make_cameras, make_snerg, snerg_from_volume
 from snerg.core.export.scene_files import write_scene
+from snerg.core.geometry.camera import Camera, panorama_focal
 from snerg.core.io.images import read_image, to_uint8
 from snerg.core.rendering.render import render_scene
 from snerg.snerg_addon.bridge import camera_from_blender, set_camera
@@ -62,6 +63,24 @@ def test_a_frame_is_what_snerg_render_writes(stage, which):
     add(baked)
     set_camera(scene.camera, make_cameras((0.2, 0.1, -0.3), width=48, height=36)[which], scene)
     same(rendered(scene), wanted(scene, baked))
+
+
+@pytest.mark.parametrize("projection", ["equirectangular", "fisheye"])
+def test_a_panoramic_frame_is_what_snerg_render_writes(stage, projection):
+    """Also a border of it."""
+    scene, add = stage
+    baked = make_snerg((34, 30, 40), fog=False)
+    add(baked)
+    pose = make_cameras(width=48, height=36)[0].camera_to_world
+    focal, widest = (panorama_focal(48, 24), np.pi) if projection == "equirectangular" else ((16.0, 8.0), 1.5)
+    set_camera(scene.camera, Camera(48, 24, focal, (24, 12), pose, projection, widest=widest), scene)
+    whole = rendered(scene)
+    same(whole, wanted(scene, baked))
+    assert whole[..., 3].max() > 200
+    scene.render.use_border, scene.render.use_crop_to_border = True, True
+    scene.render.border_min_x, scene.render.border_max_x, scene.render.border_min_y, scene.render.border_max_y = 0.25, 0.75, 0.0, 0.5
+    same(rendered(scene), whole[12:, 12:36])
+    scene.render.use_border = scene.render.use_crop_to_border = False
 
 
 def test_an_object_moved_turned_and_scaled_is_the_scene_there(stage):

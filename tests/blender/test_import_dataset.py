@@ -7,10 +7,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
 import pytest
+from PIL import Image
 
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
@@ -21,6 +23,7 @@ from snerg.core.io.images import read_image, write_png
 from snerg.core.jobs.task import ThreadTask
 from snerg.snerg_addon import bridge
 from snerg.snerg_addon.capture import evaluated
+from snerg.snerg_addon.panels.dataset import draw_remarks
 from snerg.snerg_addon.project import project_of
 
 
@@ -45,6 +48,14 @@ def write_capture(folder: Path, count: int = 9, width: int = 30, height: int = 4
     lens = {"w": width, "h": height, "fl_x": 44.0, "fl_y": 41.0, "cx": 13.5, "cy": 22.25, **more}
     (folder / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     return folder
+
+
+def drawn_remarks(scene: Any) -> str:
+    """What the dataset panel says of what was passed over. Blender tells no script what was put into a layout."""
+    layout = MagicMock()
+    layout.panel.return_value = layout, layout
+    draw_remarks(layout, project_of(scene).remarks())
+    return " ".join(str(call.kwargs["text"]) for call in layout.mock_calls if call.kwargs.get("text"))
 
 
 def cameras_of(collection: str) -> list[Any]:
@@ -118,6 +129,30 @@ def test_what_blender_cannot_show_is_said(scene, tmp_path, capfd):
     assert "9 have a lens with distortion" in said and "training" in said
 
 
+@pytest.mark.parametrize(("orientation", "turn", "mirrored"), [(5, -1, True), (6, 1, False), (7, 1, True), (8, -1, False)])
+def test_a_picture_that_exif_turns_is_turned_in_the_background(scene, tmp_path, orientation, turn, mirrored):
+    """Blender ignores EXIF. A picture stored as 40 x 30, fitted into the view of 30 x 40 and turned, fills it at 4/3 of its size."""
+    folder = write_capture(tmp_path / "capture", fl_y=44.0)
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    for file in (folder / "images").iterdir():
+        Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(file, exif=exif)
+    bpy.ops.snerg.import_dataset(filepath=str(folder))
+    background = cameras_of("Training Views")[0].data.background_images[0]
+    assert background.rotation == pytest.approx(turn * np.pi / 2) and background.use_flip_x == mirrored
+    assert background.frame_method == "FIT" and background.scale == pytest.approx(4 / 3)
+
+
+def test_what_was_passed_over_is_shown_in_the_panel(scene, tmp_path):
+    folder = write_capture(tmp_path / "capture", sharpen=1.0)
+    write_png(folder / "masks" / "other.png", np.zeros((40, 30), np.uint8))
+    bpy.ops.snerg.import_dataset(filepath=str(folder))
+    shown = drawn_remarks(scene)
+    assert "2 notes" in shown and "sharpen" in shown and "other.png" in shown
+    scene.snerg.dataset = str(write_capture(tmp_path / "another"))
+    assert drawn_remarks(scene) == ""
+
+
 def test_pictures_of_other_sizes_keep_their_width(scene, tmp_path):
     """A scene has one resolution; the background of a camera with another one fills the width of its view."""
     folder = write_capture(tmp_path / "capture")
@@ -184,8 +219,9 @@ def test_a_dataset_that_is_none_is_refused(scene, tmp_path):
     with pytest.raises(RuntimeError, match="is no dataset"):
         bpy.ops.snerg.import_dataset(filepath=str(tmp_path))
     folder = write_capture(tmp_path / "capture")
-    (folder / "images" / "shot_3.png").write_bytes(b"no picture")
-    with pytest.raises(RuntimeError, match="shot_3"):
+    for image in (folder / "images").iterdir():
+        image.write_bytes(b"no picture")
+    with pytest.raises(RuntimeError, match=r"shot_.*cannot be read"):
         bpy.ops.snerg.import_dataset(filepath=str(folder))
     assert "capture" not in bpy.data.collections
 

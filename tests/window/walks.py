@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
+from backgrounds import turned  # noqa: F401  # a walk too
 from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
 from objects import (  # noqa: F401  # walks too

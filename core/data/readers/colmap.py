@@ -9,6 +9,7 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,13 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
-from ...geometry.camera import Camera
 from ...geometry.distortion import Distortion
 from ...io.guard import check_file, reading
 from ...io.paths import inside
 from ...io.schema import FAR
-from ..dataset import DatasetOptions, Source, UnsupportedLens, View
-from ..image_resolver import check_distinct, find_below, find_image, has_image_folder, image_folder, scaled_to, size_for
+from ..dataset import DatasetOptions, Source, View
+from ..image_resolver import check_distinct, find_image, has_image_folder, image_folder, scaled_to, size_for
+from ..left_out import LeftOut, UnsupportedLens, about_one_view
+from ..masks import mask_of
+from .lists import listed
+from .ply import read_ply
 
 MODELS = {  # COLMAP's model id: (name, number of parameters)
     0: ("SIMPLE_PINHOLE", 3),
@@ -37,18 +41,25 @@ MODELS = {  # COLMAP's model id: (name, number of parameters)
     9: ("RADIAL_FISHEYE", 5),
     10: ("THIN_PRISM_FISHEYE", 12),
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }
 COUNTS = {name: count for name, count in MODELS.values()}
 # Models with one focal length for x and y; the others begin with two.
-ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
 # Models that are recognised and refused.
-OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
+OTHERS = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM", "EQUIRECTANGULAR")
 # Where models may lie in a dataset's folder, by the scripts of COLMAP, nerfstudio, instant-ngp and Gaussian splatting. Those of the
 # first of these folders that holds any are read; numbered models lie in folders 0, 1 ... of it.
 FOLDERS = ("sparse", "colmap/sparse", "dense/sparse", "dense/0/sparse", "colmap_text", "colmap_sparse", "distorted/sparse", "colmap", "")
 MAX_LEVELS = 2  # folders above a model's own in which its images are looked for when the path names the model itself
 MAX_BYTES = 2**32  # of a model's file
 MAX_NAME = 4096  # bytes of an image's name
+DEPTHS = "depth_params.json"  # Gaussian splatting's scales of inverse depths
 DEPTH_PERCENTILES = (0.1, 99.9)  # of the points in a view: its nearest and farthest depth, as in LLFF
 
 
@@ -69,8 +80,13 @@ class Shot:
 
     name: str  # path relative to the folder of images
     lens: int  # id of its camera in the model
-    world_to_camera: NDArray[Any]  # [3, 4] float64, rotation and translation, OpenCV's axes, units of the model
+    pose: list[float]  # rotation as a quaternion (w, x, y, z), and translation
     seen: NDArray[Any]  # [N] int64, ids of the 3D points that were matched in it
+
+    @cached_property
+    def world_to_camera(self) -> NDArray[Any]:
+        """[3, 4] float64, rotation and translation, OpenCV's axes, units of the model. Raises SnergError as `world_to_camera`."""
+        return world_to_camera(self.pose, f"The image {self.name}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +112,8 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
 
     path: the dataset's folder, with the model in one of FOLDERS and the images in images, images_<n> or input; or the model's own
     folder, with the images beside it or up to two folders above. Of several models the one with the most images is read, and said.
-    Masks are masks/<image name>.png, as COLMAP reads them.
+    Masks are masks/<image name>.png, as COLMAP reads them, or named as other tools do (see `mask_of`). Splits are those that files list
+    (see `listed`).
     Raises SnergError when a file is damaged, a lens model is not supported or an image is missing.
     """
     folder, said = largest_model(path)
@@ -106,6 +123,7 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
     found_lenses, shots, points = read_model(folder)
     if not shots:
         raise SnergError(f"The COLMAP model {folder} has no images; a dataset needs images with their cameras.")
+    all_names = [shot.name for shot in shots]
     shots, lenses, notes = _with_lenses(sorted(shots, key=lambda shot: shot.name), found_lenses)
     pictures, factor = image_folder(root, options.downscale, f"The COLMAP model {folder}")
     found = [find_image(pictures, shot.name, str(folder)) for shot in shots]
@@ -115,11 +133,26 @@ def read_colmap(path: Path, options: DatasetOptions) -> Source:
         raise SnergError(
             f"{pictures} lacks {len(missing)} of the {len(shots)} images of the COLMAP model, such as {missing[0]}; put it there."
         )
-    views = tuple(_view(root, folder, shot, lenses, image) for shot, image in zip(shots, found, strict=True) if image is not None)
-    source = Source(root, "colmap", views, photographs=True, factor=factor, notes=((said,) if said else ()) + notes)
+    views, kept, left_out = [], [], LeftOut()
+    for shot, image in zip(shots, found, strict=True):
+        if image is not None:
+            with left_out.reading():
+                views.append(_view(root, folder, shot, lenses, image))
+                kept.append(shot)
+    left_out.check(views)
+    notes = ((said,) if said else ()) + notes + left_out.notes() + _passed_over(folder)
+    splits = listed(root, folder, [shot.name for shot in kept], all_names)
+    source = Source(root, "colmap", tuple(views), splits, photographs=True, factor=factor, notes=notes)
     if not len(points.points):
         return source
-    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(shots, points))
+    return replace(source, points=points.points, colours=points.colours, bounds=_bounds(kept, points))
+
+
+def _passed_over(folder: Path) -> tuple[str, ...]:
+    """Sentences about files beside a model that are not read."""
+    if not (folder / DEPTHS).is_file():
+        return ()
+    return (f"{folder / DEPTHS} is of depths as a network estimates them, for Gaussian splatting; they are not used.",)
 
 
 T = TypeVar("T")
@@ -128,7 +161,8 @@ T = TypeVar("T")
 def read_model(folder: Path) -> tuple[Lenses, list[Shot], Points]:
     """Read a model's files: (cameras by id, images in the order of the file, 3D points).
 
-    The binary files are read where there are both. Without a points3D file there are no points.
+    The binary files are read where there are both. Without a points3D file, the points are those of points3D.ply, which Gaussian
+    splatting makes of it, or none.
     Raises SnergError when a file is damaged, cameras or images are missing, or an image names a camera that the model does not have.
     """
     binary = (folder / "cameras.bin").is_file()
@@ -136,7 +170,7 @@ def read_model(folder: Path) -> tuple[Lenses, list[Shot], Points]:
     lenses = _read(folder / f"cameras{suffix}", binary_lenses if binary else text_lenses)
     shots = _read(folder / f"images{suffix}", binary_shots if binary else text_shots)
     file = folder / f"points3D{suffix}"
-    points = _read(file, binary_points if binary else text_points) if file.is_file() else _points([])
+    points = _read(file, binary_points if binary else text_points) if file.is_file() else _ply_points(folder)
     for shot in shots:
         if shot.lens not in lenses:
             raise SnergError(f"{folder}: the image {shot.name} has camera {shot.lens}, which the model does not have.")
@@ -255,14 +289,14 @@ SEEN = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 
 
 def binary_shots(path: Path) -> list[Shot]:
-    """Read images.bin: the images in the order of the file. Raises SnergError as `world_to_camera`."""
+    """Read images.bin: the images in the order of the file."""
     file = Bytes(path)
     shots = []
     for _ in range(file.count(64 + 1 + 8)):
         _, *pose, lens = file.take("I7dI")
         name = file.text()
         seen = file.array(SEEN, file.count(SEEN.itemsize))["point"]
-        shots.append(Shot(name, lens, world_to_camera(pose, f"{path}, image {name}"), seen[seen >= 0]))
+        shots.append(Shot(name, lens, pose, seen[seen >= 0]))
     return shots
 
 
@@ -311,16 +345,15 @@ def text_lenses(path: Path) -> Lenses:
 
 
 def text_shots(path: Path) -> list[Shot]:
-    """Read images.txt: the images in the order of the file. Each has two lines, of which the second, its 2D points, may be empty.
-
-    Raises SnergError as `world_to_camera`.
-    """
+    """Read images.txt: the images in the order of the file. Each has two lines, of which the second, its 2D points, may be empty."""
     shots = []
     for line, matches in _shot_lines(path):
         _, *pose, lens, name = _values(line, 10)
         tracks = _values(matches) if matches else []
         seen = np.array(tracks[2::3], np.int64)
-        shots.append(Shot(name, int(lens), world_to_camera([float(v) for v in pose], f"{path}, image {name}"), seen[seen >= 0]))
+        if len(pose) != 7:
+            raise ValueError(f"the image {name} has a pose of {len(pose)} numbers instead of 7")
+        shots.append(Shot(name, int(lens), [float(v) for v in pose], seen[seen >= 0]))
     return shots
 
 
@@ -332,6 +365,16 @@ def text_points(path: Path) -> Points:
             number, x, y, z, *colour = _values(line, 8)[:7]
             rows.append((int(number), float(x), float(y), float(z), *(int(c) for c in colour)))
     return _points(rows)
+
+
+def _ply_points(folder: Path) -> Points:
+    """The points of points3D.ply, with numbers below 0, which no image has matched; none without the file."""
+    path = inside(folder, "points3D.ply", str(folder))
+    if not path.is_file():
+        return _points([])
+    points, colours = read_ply(path)
+    grey = np.full((len(points), 3), 128, np.uint8)
+    return Points(np.arange(-len(points), 0), points, grey if colours is None else colours)
 
 
 def _points(rows: list[tuple[Any, ...]]) -> Points:
@@ -346,11 +389,11 @@ def _points(rows: list[tuple[Any, ...]]) -> Points:
 def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
     """The rigid transform [3, 4] from a pose of 7 numbers: a quaternion (w, x, y, z), normalised here, and a translation.
 
-    Raises SnergError, which begins with `where`, when these are not 7 finite numbers or the quaternion is 0.
+    Raises SnergError, which begins with `where`, when they are not finite or the quaternion is 0.
     """
     q = np.array(pose[:4], np.float64)
     length = float(np.linalg.norm(q))
-    if len(pose) != 7 or not np.isfinite(pose).all() or length < 1e-9:
+    if not np.isfinite(pose).all() or length < 1e-9:
         raise SnergError(f"{where} has a pose that is not a finite rotation and position; run COLMAP's mapper again.")
     w, x, y, z = q / length
     rotation = [
@@ -362,33 +405,27 @@ def world_to_camera(pose: list[float], where: str) -> NDArray[Any]:
 
 
 def _view(root: Path, folder: Path, shot: Shot, lenses: dict[int, Lens], image: Path) -> View:
+    """The view of one image of a model. Raises UnusableView when its picture, pose or lens is invalid."""
     lens = lenses[shot.lens]
-    rotation, translation = shot.world_to_camera[:, :3], shot.world_to_camera[:, 3]
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
-    pose[:3, 3] = -rotation.T @ translation
-    given = float(lens.width), float(lens.height)
-    size, upright = size_for(image, given)
-    camera: Camera = scaled_to(
-        size,
-        given,
-        f"{folder}, image {shot.name},",
-        focal=lens.focal,
-        centre=lens.centre,
-        camera_to_world=pose,
-        name=Path(shot.name).stem,
-        distortion=lens.distortion,
-    )
-    return View(camera, image, _mask(root, shot.name, str(folder)), upright=upright)
-
-
-def _mask(root: Path, name: str, where: str) -> Path | None:
-    """The mask of the image `name`: COLMAP's masks/<name>.png, else masks/<name> with any suffix, or the same in mask/; None without."""
-    for folder in ("masks", "mask"):
-        for mask in (f"{folder}/{name}.png", f"{folder}/{name}"):
-            if (found := find_below(root, mask, where)) is not None:
-                return found
-    return None
+    mask = mask_of(root, shot.name, image, str(folder))
+    with about_one_view():
+        rotation, translation = shot.world_to_camera[:, :3], shot.world_to_camera[:, 3]
+        pose = np.eye(4)
+        pose[:3, :3] = rotation.T * [1, -1, -1]  # from OpenCV's axes (right, down, ahead) to (right, up, back)
+        pose[:3, 3] = -rotation.T @ translation
+        given = float(lens.width), float(lens.height)
+        size, upright = size_for(image, given)
+        camera = scaled_to(
+            size,
+            given,
+            f"{folder}, image {shot.name},",
+            focal=lens.focal,
+            centre=lens.centre,
+            camera_to_world=pose,
+            name=Path(shot.name).stem,
+            distortion=lens.distortion,
+        )
+        return View(camera, image, mask, upright=upright)
 
 
 def _bounds(shots: list[Shot], points: Points) -> NDArray[Any] | None:

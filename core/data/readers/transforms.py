@@ -15,25 +15,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import SnergError
+from ...geometry import wide
 from ...geometry.box import Box
-from ...geometry.camera import Camera, focal_from_angle
+from ...geometry.camera import Camera, focal_from_angle, panorama_focal
 from ...geometry.distortion import MODELS, Distortion
 from ...io.files import json_bytes, read_edited_json, write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
 from ...io.paths import inside
-from ..dataset import DatasetOptions, Source, UnsupportedLens, View
+from ..dataset import DatasetOptions, Source, StatedBox, View
 from ..depth import depth_of_frame, passes_of_frame
 from ..image_resolver import check_distinct, find_image, fits, plain, scaled_to, size_for
+from ..left_out import LeftOut, UnsupportedLens, about_one_view
+from .dialects import UPRIGHT, check_keys, check_rays, crop_radius, kept_frames, opacity_of, remarks, stated_up
+from .others import check_json
 from .ply import read_ply
 
 LENSES = {
     **dict.fromkeys(("", "PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), "opencv"),
     **dict.fromkeys(("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"), "fisheye"),
 }
-OTHER_LENSES = ("ftheta_p0", "latlong", "equirectangular")  # instant-ngp's keys for lenses that are not supported here
+PANORAMA = "EQUIRECTANGULAR"  # nerfstudio's camera_model of a panorama; instant-ngp's is the key latlong
+OURS_PANORAMA = "equirectangular"  # our own key 'projection' of panoramas, whose fl_x, fl_y, cx, cy are to be believed
+OTHER_LENSES = {  # instant-ngp's keys for lenses that are not supported here, by what they are
+    "ftheta_p0": "an f-theta lens",
+    "equirectangular": "a cylindrical equal-area picture in instant-ngp, not a panorama of 360 x 180 degrees, whose key is latlong",
+}
 POSES = ("transform_matrix_start", "transform_matrix")  # the first: instant-ngp's, where a camera moves during the exposure
 OURS = ("snerg_box", "snerg_render")  # keys of files that SNeRG's renders have: their world is Blender's
+LENS_KEYS = ("fl_x", "camera_model")  # keys of files of photographs
 SPLITS = {"train": "train_filenames", "val": "val_filenames", "test": "test_filenames"}  # splits and nerfstudio's keys for them
 NGP_SCALE = 0.33  # instant-ngp's default scale from the poses' units to its unit cube
 
@@ -60,17 +70,28 @@ def read_transforms(path: Path, split: str, options: DatasetOptions) -> Source:
 
 
 def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: DatasetOptions) -> Source:
-    value, frames = read_frames(file)
-    views, notes = read_frames_with_lenses(file, value, frames)
+    return source_of(file, *read_frames(file), names, split, options)
+
+
+def source_of(
+    file: Path, value: dict[str, Any], frames: list[dict[str, Any]], names: tuple[str, ...], split: str, options: DatasetOptions
+) -> Source:
+    """What a transforms file describes. value: the whole file; names: of all splits, where each has a file of its own.
+
+    Raises SnergError as `read_transforms`.
+    """
+    check_keys(file, value, [str(frame.get("file_path")) for frame in frames])
+    frames, said = kept_frames(file, value, frames)
+    views, left_out = read_views(file, value, frames)
     there = tuple(view for view in views if view is not None)
     if not there:
         raise SnergError(f"{file} lists {len(frames)} images, of which none exists; put them where the file says, or correct it.")
     splits: dict[str, list[int]] | None
     splits = {split: list(range(len(there)))} if names else listed_splits(file, value, frames, views)
     points, colours = read_points(file, value)
-    photographs = (
-        not names and not any(key in value for key in OURS) and any("fl_x" in v or "camera_model" in v for v in (value, frames[0]))
-    )
+    up = stated_up(file, value)
+    lens = any(key in v for key in LENS_KEYS for v in (value, frames[0]))
+    photographs = not names and not any(key in value for key in OURS) and (lens or (up is not None and not np.allclose(up, UPRIGHT)))
     return Source(
         root=file.parent,
         kind="transforms",
@@ -81,30 +102,29 @@ def _read_transforms(file: Path, names: tuple[str, ...], split: str, options: Da
         photographs=photographs,
         points=points,
         colours=colours,
-        half_extent=read_half_extent(file, value),
+        stated=read_stated_box(file, value),
         factor=options.downscale,
-        skipped_frames=len(views) - len(there) - len(notes),
-        notes=notes,
+        skipped_frames=len(views) - len(there) - len(left_out.errors),
+        notes=said + remarks(file, value, frames) + left_out.notes(),
+        up=up,
     )
 
 
-def read_frames_with_lenses(file: Path, value: dict[str, Any], frames: list[dict[str, Any]]) -> tuple[list[View | None], tuple[str, ...]]:
-    """The view of each frame, None where it has none (see `read_frame`), and a note for each that is left out for its lens.
+def read_views(file: Path, value: dict[str, Any], frames: list[dict[str, Any]]) -> tuple[list[View | None], LeftOut]:
+    """(the view of each frame, None where it has none or it cannot be used (see `read_frame`); those that cannot be used).
 
-    Raises SnergError as `read_frame` does, and for the lens when no frame has another.
+    Raises SnergError as `read_frame` does, and UnusableView when no frame can be used.
     """
     views: list[View | None] = []
-    refused: list[UnsupportedLens] = []
+    left_out = LeftOut()
     for index, frame in enumerate(frames):
-        try:
-            views.append(read_frame(file, value, frame, index, "aabb_scale" in value))
-        except UnsupportedLens as error:
-            refused.append(error)
-            views.append(None)
-    if refused and not any(views):
-        raise refused[0]
+        view = None
+        with left_out.reading():
+            view = read_frame(file, value, frame, index, "aabb_scale" in value)
+        views.append(view)
+    left_out.check([view for view in views if view is not None])
     check_distinct(((f["file_path"], v.image) for f, v in zip(frames, views, strict=True) if v is not None), str(file))
-    return views, tuple(f"{str(error).removesuffix('.')}; this image is left out." for error in refused)
+    return views, left_out
 
 
 def find_file(path: Path, split: str) -> tuple[Path, tuple[str, ...]]:
@@ -146,6 +166,7 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     value = read_edited_json(file)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
+        check_json(file, value)
         raise SnergError(f"{file} has no frames; a dataset needs at least one image with its camera.")
     for index, frame in enumerate(frames):
         if not isinstance(frame, dict):
@@ -156,7 +177,8 @@ def read_frames(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: int, skips_missing: bool) -> View | None:
     """The view of one frame: its camera, image and mask. value: the whole file; index: the frame's number, for errors.
 
-    None when the image does not exist and `skips_missing` is set. Raises SnergError when it is not set, and for invalid frames.
+    None when the image does not exist and `skips_missing` is set. Raises SnergError when it is not set, and UnusableView when the
+    image, pose or lens is invalid.
     """
     where = f"{file}, frame {index}"
     name = frame.get("file_path")
@@ -168,16 +190,21 @@ def read_frame(file: Path, value: dict[str, Any], frame: dict[str, Any], index: 
             return None
         raise SnergError(f"{where} names the image {name}, which does not exist in {file.parent}; put it there or take the frame out.")
     merged = {**value, **frame}
-    stored = read_size(image)
-    try:
-        given = float(merged.get("w", stored[0])), float(merged.get("h", stored[1]))
-    except (TypeError, ValueError, OverflowError):
-        given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
-    size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
-    camera = read_camera(value, frame, size, where, name=image.stem)
+    with about_one_view():
+        stored = read_size(image)
+        try:
+            given = float(merged.get("w", stored[0])), float(merged.get("h", stored[1]))
+        except (TypeError, ValueError, OverflowError):
+            given = float(stored[0]), float(stored[1])  # read_camera says what is wrong
+        size, upright = (stored, False) if fits(stored, given) else size_for(image, given)
+        camera = read_camera(value, frame, size, where, name=image.stem)
+        check_rays(value, image, where)
     mask, hides = find_mask(file.parent, value, frame, image, where)
-    depth, passes = depth_of_frame(file.parent, value, frame), passes_of_frame(file.parent, frame)
-    return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright)
+    crop = crop_radius(merged, size[0] / given[0], where)
+    opacity = opacity_of(value, image)
+    depth = depth_of_frame(file.parent, value, frame) if value.get("enable_depth_loading", True) else None
+    passes = passes_of_frame(file.parent, frame)
+    return View(camera, image, mask, hides, depth=depth, passes=passes, upright=upright, crop_radius=crop, opacity=opacity)
 
 
 def find_mask(root: Path, value: dict[str, Any], frame: dict[str, Any], image: Path, where: str) -> tuple[Path | None, bool]:
@@ -206,9 +233,9 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{where} has no transform_matrix of 4 x 4 numbers; every frame needs a pose.") from error
     merged = {**value, **frame}
-    for axis in "xy":  # a frame's own field of view comes before the file's focal length
-        if any(key in frame for key in (f"camera_angle_{axis}", f"{axis}_fov")) and f"fl_{axis}" not in frame:
-            merged.pop(f"fl_{axis}", None)
+    for axis in "xy":  # what the frame gives comes before what the file gives, by whichever key
+        if any(key in frame for key in _focal_keys(axis)):
+            merged = {key: given for key, given in merged.items() if key in frame or key not in _focal_keys(axis)}
     try:
         return _camera(merged, size, pose, where, name)
     except (TypeError, ValueError, OverflowError) as error:
@@ -217,6 +244,10 @@ def read_camera(value: dict[str, Any], frame: dict[str, Any], size: tuple[int, i
 
 def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], where: str, name: str) -> Camera:
     width, height = float(value.get("w", size[0])), float(value.get("h", size[1]))
+    lens = read_lens(value, where)
+    if is_panorama(value):
+        whole = _panorama(value, width, height, where)
+        return scaled_to(size, (width, height), where, **whole, **_common(value, pose, name))
     focal_x, focal_y = _focal(value, "x", width, where), _focal(value, "y", height, where)
     if focal_x is None and focal_y is None:
         raise SnergError(f"{where} has neither camera_angle_x nor fl_x; a camera needs a field of view or a focal length.")
@@ -227,23 +258,57 @@ def _camera(value: dict[str, Any], size: tuple[int, int], pose: NDArray[Any], wh
         where,
         focal=(focal_x, focal_y),
         centre=(float(value.get("cx", width / 2)), float(value.get("cy", height / 2))),
-        camera_to_world=pose,
         projection=str(value.get("projection", "perspective")),
-        name=name,
-        near=float(value.get("near", 0)),
-        far=float(value.get("far", math.inf)),
-        distortion=read_lens(value, where),
+        distortion=lens,
+        widest=float(value.get("widest", math.pi)),
+        **_common(value, pose, name),
     )
 
 
+def _common(value: dict[str, Any], pose: NDArray[Any], name: str) -> dict[str, Any]:
+    """The arguments of Camera that do not depend on the projection."""
+    return {"camera_to_world": pose, "name": name, "near": float(value.get("near", 0)), "far": float(value.get("far", math.inf))}
+
+
+def is_panorama(value: dict[str, Any]) -> bool:
+    """Whether a file or frame describes a panorama."""
+    return str(value.get("camera_model", "")).upper() == PANORAMA or bool(value.get("latlong")) or value.get("projection") == OURS_PANORAMA
+
+
+def _panorama(value: dict[str, Any], width: float, height: float, where: str) -> dict[str, Any]:
+    """The arguments of Camera for a panorama of `width` x `height` pixels.
+
+    One of twice its height shows 360 x 180 degrees, whatever its fl_x is: tools disagree about that. Ours may be parts of one, and have
+    fl_x and fl_y in pixels per half turn, as nerfstudio has. Raises UnsupportedLens, which begins with `where`, for parts of others.
+    """
+    if value.get("projection") == OURS_PANORAMA and all(key in value for key in ("fl_x", "fl_y", "cx", "cy")):
+        focal, centre = (float(value["fl_x"]) / math.pi, float(value["fl_y"]) / math.pi), (float(value["cx"]), float(value["cy"]))
+    elif abs(width - 2 * height) <= 0.02 * width:
+        focal, centre = panorama_focal(width, height), (width / 2, height / 2)
+    else:
+        lens = "latlong" if value.get("latlong") else PANORAMA
+        raise UnsupportedLens(
+            f"{where} has the lens {lens} and {width:g} x {height:g} pixels; only whole panoramas, twice as wide as high, are supported."
+        )
+    return {"focal": focal, "centre": centre, "projection": "equirectangular"}
+
+
+def _focal_keys(axis: str) -> tuple[str, str, str]:
+    return f"{axis}_fov", f"fl_{axis}", f"camera_angle_{axis}"
+
+
 def _focal(value: dict[str, Any], axis: str, pixels: float, where: str) -> float | None:
-    """The focal length in pixels along 'x' or 'y': fl_<axis>, <axis>_fov (degrees) or camera_angle_<axis> (radians), else None."""
-    if f"fl_{axis}" in value:
-        return float(value[f"fl_{axis}"]) or -1.0  # 0 is not 'not given': Camera refuses both
-    if f"{axis}_fov" in value:
-        return focal_from_angle(math.radians(float(value[f"{axis}_fov"])), 1, where) * pixels
-    if f"camera_angle_{axis}" in value and (axis == "x" or "camera_angle_x" not in value):
-        return focal_from_angle(float(value[f"camera_angle_{axis}"]), 1, where) * pixels
+    """The focal length in pixels along 'x' or 'y': <axis>_fov (degrees), fl_<axis> or camera_angle_<axis> (radians), else None.
+
+    The first of these that is there counts, as in instant-ngp, which is the tool that has them all.
+    """
+    degrees, focal, radians = _focal_keys(axis)
+    if degrees in value:
+        return focal_from_angle(math.radians(float(value[degrees])), 1, where) * pixels
+    if focal in value:
+        return float(value[focal]) or -1.0  # 0 is not 'not given': Camera refuses both
+    if radians in value:
+        return focal_from_angle(float(value[radians]), 1, where) * pixels
     return None
 
 
@@ -251,18 +316,37 @@ def read_lens(value: dict[str, Any], where: str) -> Distortion | None:
     """The distortion that a file or frame describes; None for a pinhole camera. Raises SnergError when the lens is not supported."""
     named = str(value.get("camera_model", "")).upper()
     other = [key for key in OTHER_LENSES if value.get(key)]
-    if named not in LENSES or other:
-        lens = other[0] if other else named
-        raise UnsupportedLens(f"{where} has the lens {lens}, which is not supported; undistort the images first.")
-    if value.get("from_mitsuba"):
-        raise SnergError(f"{where} has from_mitsuba, whose axes are not supported; turn its poses to OpenGL's axes and take the key out.")
-    if any(float(x) for x in value.get("rolling_shutter", ()) or ()):
+    if other:
+        raise UnsupportedLens(
+            f"{where} has the key {other[0]}, {OTHER_LENSES[other[0]]}, which is not supported; undistort the images first."
+        )
+    if is_panorama(value):
+        return None
+    if named not in LENSES:
+        raise UnsupportedLens(f"{where} has the lens {named}, which is not supported; undistort the images first.")
+    ends = value.get("transform_matrix_end")  # without it the camera stands still while the shutter rolls
+    moves = ends is not None and ends != next((value[key] for key in POSES if key in value), None)
+    if moves and any(float(x) for x in value.get("rolling_shutter", ()) or ()):
         raise SnergError(f"{where} has a rolling_shutter, which is not supported; take the key out to read the images as still ones.")
     model = "fisheye" if value.get("is_fisheye") else LENSES[named]
+    value = {**value, **listed_distortion(value, where)}
     if model == "opencv" and named != "FULL_OPENCV" and value.get("k4") and not any(key in value for key in ("k5", "k6")):
         model = "nerfstudio"  # whose k4 is the factor of r^8; OpenCV's is of the denominator and comes with k5 and k6
     coefficients = tuple(float(value.get(key, 0)) for key in MODELS[model])
     return Distortion(model, coefficients) if model == "fisheye" or any(coefficients) else None
+
+
+def listed_distortion(value: dict[str, Any], where: str) -> dict[str, float]:
+    """The coefficients of nerfstudio's distortion_params by their names, which come before single ones; nothing without the key.
+
+    Raises SnergError, which begins with `where`, when there are more than MODELS["nerfstudio"] has, as of its lens FISHEYE624.
+    """
+    listed, names = value.get("distortion_params"), MODELS["nerfstudio"]
+    if listed is None:
+        return {}
+    if not isinstance(listed, list) or len(listed) > len(names):
+        raise SnergError(f"{where} has distortion_params other than {', '.join(names)}; undistort the images first.")
+    return dict(zip(names, [*map(float, listed), *[0.0] * len(names)], strict=False))
 
 
 def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]], views: list[View | None]) -> dict[str, list[int]] | None:
@@ -270,12 +354,11 @@ def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]
     keys = [split for split, key in SPLITS.items() if key in value]
     if not keys:
         return None
-    number: dict[str, int] = {}
+    number: dict[str, int | None] = {}
     there = 0
     for frame, view in zip(frames, views, strict=True):
-        if view is not None:
-            number[plain(frame["file_path"])] = there
-            there += 1
+        number[plain(frame["file_path"])] = there if view is not None else None
+        there += view is not None
     splits = {}
     for split in keys:
         names = value[SPLITS[split]]
@@ -284,7 +367,7 @@ def listed_splits(file: Path, value: dict[str, Any], frames: list[dict[str, Any]
         unknown = [n for n in names if plain(n) not in number]
         if unknown:
             raise SnergError(f"{file}: {SPLITS[split]} names {unknown[0]} and {len(unknown) - 1} more that are no frame's file_path.")
-        splits[split] = [number[plain(n)] for n in names]
+        splits[split] = [index for n in names if (index := number[plain(n)]) is not None]
     return splits
 
 
@@ -300,17 +383,35 @@ def read_points(file: Path, value: dict[str, Any]) -> tuple[NDArray[Any] | None,
     return read_ply(path) if path.is_file() else (None, None)
 
 
-def read_half_extent(file: Path, value: dict[str, Any]) -> float | None:
-    """Half the edge length of instant-ngp's cube, which is centred on the origin, in units of the poses; None without aabb_scale."""
-    if "aabb_scale" not in value:
+def read_stated_box(file: Path, value: dict[str, Any]) -> StatedBox | None:
+    """The cube that a file of instant-ngp or sdfstudio states, in units of the poses; None where it states none.
+
+    instant-ngp trains in the cube of `aabb_scale` around (0.5, 0.5, 0.5), where a position p of the file lies at p * scale + offset;
+    `aabb`, two corners, gives scale and offset (NVlabs/instant-ngp:src/nerf_loader.cu). sdfstudio has scene_box.aabb.
+    Raises SnergError when a value is not finite, or the cube has no size.
+    """
+    key = next((k for k in ("aabb", "scene_box", "aabb_scale", "offset") if k in value), None)
+    if key is None:
         return None
     try:
-        half = 0.5 * float(value["aabb_scale"]) / float(value.get("scale", NGP_SCALE))
-    except (TypeError, ValueError, ZeroDivisionError) as error:
-        raise SnergError(f"{file} has an aabb_scale that is not a number ({error}).") from error
-    if not (math.isfinite(half) and half > 0):
-        raise SnergError(f"{file} has an aabb_scale of {value['aabb_scale']}; it must be above 0.")
-    return half
+        centre, half = _stated_cube(value, key)
+    except (TypeError, ValueError, KeyError, IndexError, ZeroDivisionError) as error:
+        raise SnergError(f"{file} has an {key} that is not a number, or not a box of numbers ({error}).") from error
+    if not (np.isfinite(centre).all() and math.isfinite(half) and half > 0):
+        raise SnergError(f"{file} has an {key} of {value[key]}; it must be above 0.")
+    return StatedBox(Box.axis_aligned(centre - half, centre + half), key)
+
+
+def _stated_cube(value: dict[str, Any], key: str) -> tuple[NDArray[Any], float]:
+    """(centre [3], half side) of `read_stated_box`, which may be anything that is not finite or not above 0."""
+    enlarged = float(value.get("aabb_scale", 1))
+    if key in ("aabb", "scene_box"):
+        corners = np.array(value[key] if key == "aabb" else value[key]["aabb"], np.float64).reshape(2, 3)
+        enlarged = enlarged if key == "aabb" else 1.0
+        return corners.mean(axis=0), float(np.abs(corners[1] - corners[0]).max()) / 2 * enlarged
+    scale = float(value.get("scale", NGP_SCALE))
+    offset = np.broadcast_to(np.array(value.get("offset", 0.5), np.float64), 3)
+    return np.array([(0.5 - float(along)) / scale for along in offset]), 0.5 * enlarged / scale
 
 
 def write_transforms(
@@ -351,8 +452,14 @@ def intrinsics_json(camera: Camera) -> dict[str, Any]:
     if camera.distortion is not None:
         value["camera_model"] = "OPENCV_FISHEYE" if camera.distortion.model == "fisheye" else "OPENCV"  # 'nerfstudio' has no k5, k6
         value |= dict(zip(MODELS[camera.distortion.model], camera.distortion.coefficients, strict=True))
+    if camera.projection == "equirectangular":
+        value |= {"camera_model": PANORAMA, "fl_x": camera.focal[0] * math.pi, "fl_y": camera.focal[1] * math.pi}
     if camera.projection != "perspective":
         value["projection"] = camera.projection
+    if camera.projection == "fisheye":
+        value["camera_model"] = "OPENCV_FISHEYE"
+        if camera.widest < math.pi:
+            value["widest"] = float(camera.widest)
     if camera.near:
         value["near"] = float(camera.near)
     if math.isfinite(camera.far):
@@ -378,6 +485,7 @@ def read_cameras(path: str | os.PathLike[str], size: tuple[int | None, int | Non
 
 def _read_cameras(path: Path, wanted: tuple[int | None, int | None]) -> tuple[Camera, ...]:
     value, frames = read_frames(path)
+    check_keys(path, value, [])
     cameras = []
     for index, frame in enumerate(frames):
         where = f"{path}, frame {index}"
@@ -405,10 +513,10 @@ def _whole(value: Any, where: str) -> int:
 def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
     """The cameras of nerfstudio's camera path, in its own world: camera_to_world row by row, and the vertical field of view in degrees.
 
-    Raises SnergError for a camera_type other than 'perspective', and for missing or invalid values.
+    Raises SnergError for a camera_type other than 'perspective', 'fisheye' and 'equirectangular', and for missing or invalid values.
     """
     kind = str(value.get("camera_type", "perspective")).lower()
-    if kind != "perspective":
+    if kind not in ("perspective", *wide.PROJECTIONS):
         raise SnergError(f"{where} is a camera path of camera_type {kind}, which is not supported; export it as perspective.")
     steps = value["camera_path"]
     if not isinstance(steps, list) or not steps:
@@ -419,30 +527,32 @@ def read_camera_path(value: dict[str, Any], where: str) -> tuple[Camera, ...]:
         here = f"{where}, camera {index}"
         try:
             pose = np.array(step["camera_to_world"], np.float64).reshape(4, 4)
-            focal = focal_from_angle(math.radians(float(step["fov"])), height, here)
+            one = focal_from_angle(math.radians(float(step["fov"])), height, here)
+            focal = panorama_focal(width, height) if kind == "equirectangular" else (one, one)
         except (KeyError, TypeError, ValueError) as error:
             raise SnergError(f"{here} lacks camera_to_world (16 numbers) or fov (degrees); export the path again.") from error
-        cameras.append(Camera(width, height, (focal, focal), (width / 2, height / 2), pose, name=f"{index:05d}"))
+        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, kind, f"{index:05d}"))
     return tuple(cameras)
 
 
 def read_splat_cameras(value: list[Any], where: str) -> tuple[Camera, ...]:
-    """The cameras of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
-
-    Raises SnergError, which begins with `where`, when there is none or one is incomplete.
-    """
-    cameras = []
-    for index, item in enumerate(value):
-        here = f"{where}, camera {index}"
-        try:
-            pose = np.eye(4)
-            pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
-            pose[:3, 3] = np.array(item["position"], np.float64)
-            width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
-            name = Path(str(item.get("img_name", f"{index:05d}"))).stem
-        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-            raise SnergError(f"{here} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
-        cameras.append(Camera(width, height, focal, (width / 2, height / 2), pose, name=name))
-    if not cameras:
+    """The cameras of Gaussian splatting's cameras.json (see `read_splat_camera`). Raises SnergError also when there is none."""
+    if not value:
         raise SnergError(f"{where} has no cameras; export it again.")
-    return tuple(cameras)
+    return tuple(read_splat_camera(item, f"{where}, camera {index}", f"{index:05d}") for index, item in enumerate(value))
+
+
+def read_splat_camera(item: Any, where: str, name: str = "") -> Camera:
+    """One camera of Gaussian splatting's cameras.json, in the world of its capture: OpenCV's axes, rotation to the world by rows.
+
+    name: of a camera without img_name. Raises SnergError, which begins with `where`, when a value is missing or no number.
+    """
+    try:
+        pose = np.eye(4)
+        pose[:3, :3] = np.array(item["rotation"], np.float64).reshape(3, 3) * [1, -1, -1]
+        pose[:3, 3] = np.array(item["position"], np.float64)
+        width, height, focal = int(item["width"]), int(item["height"]), (float(item["fx"]), float(item["fy"]))
+        name = Path(str(item.get("img_name", name))).stem
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+        raise SnergError(f"{where} lacks position, rotation, width, height, fx or fy as numbers; export it again.") from error
+    return Camera(width, height, focal, (width / 2, height / 2), pose, name=name)

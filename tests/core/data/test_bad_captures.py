@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import re
 import shutil
 import struct
 import tracemalloc
@@ -18,6 +19,7 @@ from captures import facing, huge_png, ring, thing, write_colmap, write_llff, wr
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import SnergError
+from snerg.core.io.images import write_png
 
 BOUNDS = np.tile([2.0, 9.0], (8, 1))
 KINDS: dict[str, Callable[[Path], Path]] = {
@@ -112,6 +114,13 @@ def huge(folder: Path) -> None:
     (folder / "images" / "003.png").write_bytes(huge_png(30000, 22500))
 
 
+def half(folder: Path) -> None:
+    """A picture whose second half was never copied."""
+    noise = np.random.default_rng(0).integers(0, 256, (18, 24, 3), dtype=np.uint8)
+    write_png(folder / "images" / "003.png", noise)
+    os.truncate(folder / "images" / "003.png", 700)
+
+
 def cut(folder: Path) -> None:
     (folder / "images" / "003.png").write_bytes(b"\x89PNG")
 
@@ -151,16 +160,10 @@ CASES: list[tuple[str, tuple[str, ...], Callable[[Path], object], str]] = [
     ("no folder of images", (*LLFF, *TEXT, *BINARY), no_folder, "no folder 'images'"),
     ("a link out of the folder", tuple(KINDS), link_out, "outside"),
     ("a link to itself", ("nerfstudio", *LLFF, *TEXT), loop, "003"),
-    ("a picture that claims to be huge", tuple(KINDS), huge, "003.*(30000 x 22500|675000000)"),
-    ("a picture cut short", tuple(KINDS), cut, "003"),
     ("one image", ("ngp",), one_image, "1 image to train on"),
     ("one image", ("nerfstudio",), frames(lambda v: v.update(frames=v["frames"][:1])), "1 image to train on"),
     ("no frames", JSON, frames(lambda v: v.update(frames=[])), "no frames"),
     ("frames of another kind", JSON, frames(lambda v: v["frames"].__setitem__(2, 3)), "frame 2"),
-    ("no pose", JSON, frames(lambda v: v["frames"][2].pop("transform_matrix")), "frame 2.*transform_matrix"),
-    ("a pose that is not finite", JSON, frames(lambda v: v["frames"][2]["transform_matrix"][0].__setitem__(3, NAN)), "frame 2|'002'"),
-    ("a flat pose", JSON, frames(lambda v: v["frames"][2].update(transform_matrix=FLAT)), "'002'.*pose"),
-    ("a mirroring pose", JSON, frames(lambda v: v["frames"][2].update(transform_matrix=MIRROR)), "'002'.*mirrors"),
     ("a path out of the folder", JSON, frames(lambda v: v["frames"][2].update(file_path="../../etc/passwd")), "outside"),
     ("an absolute path", JSON, frames(lambda v: v["frames"][2].update(file_path="/etc/passwd")), "outside"),
     ("a mask out of the folder", JSON, frames(lambda v: v["frames"][2].update(mask_path="../secret.png")), "outside"),
@@ -171,11 +174,7 @@ CASES: list[tuple[str, tuple[str, ...], Callable[[Path], object], str]] = [
     ("a path that is none", JSON, frames(lambda v: v["frames"][2].update(file_path=["a"])), "file_path"),
     ("an unknown lens", JSON, frames(lambda v: [f.update(camera_model="EQUIRECTANGULAR") for f in v["frames"]]), "EQUIRECTANGULAR"),
     ("another unknown lens", JSON, frames(lambda v: v.update(latlong=True)), "latlong"),
-    ("a lens that is not finite", JSON, frames(lambda v: v["frames"][2].update(k1=NAN)), "lens"),
-    ("a lens of words", JSON, frames(lambda v: v["frames"][2].update(k1="strong")), "frame 2.*numbers"),
     ("no focal length", JSON, frames(lambda v: [x.update(fl_x=0) for x in (v, *v["frames"])]), "focal"),
-    ("a size of nothing", JSON, frames(lambda v: v["frames"][2].update(w=0)), "above 0"),
-    ("a turned image", JSON, frames(lambda v: v["frames"][2].update(w=18, h=24)), "turned"),
     ("a scale of nothing", ("ngp",), frames(lambda v: v.update(aabb_scale=0)), "aabb_scale"),
     ("a scale of words", ("ngp",), frames(lambda v: v.update(aabb_scale="big")), "aabb_scale"),
     ("a split of frames that are not", JSON, frames(lambda v: v.update(train_filenames=["images/x.png"])), "x.png"),
@@ -192,12 +191,7 @@ CASES: list[tuple[str, tuple[str, ...], Callable[[Path], object], str]] = [
     ("a table cut short", LLFF, lambda folder: os.truncate(folder / "poses_bounds.npy", 500), "array of numbers"),
     ("a table of false size", LLFF, false_shape, "array of numbers"),
     ("fewer poses", LLFF, table(lambda rows: rows[:-1]), "7 poses.*8 images"),
-    ("a pose that is not finite", LLFF, put((2, 3), NAN), "finite"),
-    ("a flat pose", LLFF, put((2, [0, 5, 10]), 0.0), "'002'.*pose"),
     ("a mirroring pose", LLFF, table(lambda rows: rows * np.where(np.arange(17) % 5 == 2, [-1], [1])), "mirrors"),
-    ("near beyond far", LLFF, put((2, 15), 99.0), "pose 2.*99"),
-    ("a size of nothing", LLFF, put((2, 4), 0.0), "above 0"),
-    ("no focal length", LLFF, put((2, 14), 0.0), "focal"),
     ("an unknown lens", TEXT, lines("cameras.txt", lambda t: t.replace("PINHOLE", "FOV")), "FOV"),
     ("an unheard-of lens", TEXT, lines("cameras.txt", lambda t: t.replace("PINHOLE", "PERISCOPE")), "PERISCOPE"),
     ("too few parameters", TEXT, lines("cameras.txt", lambda t: t.replace("PINHOLE", "OPENCV")), "4 parameters.*8"),
@@ -221,11 +215,32 @@ CASES: list[tuple[str, tuple[str, ...], Callable[[Path], object], str]] = [
     ("too many images", BINARY, data("images.bin", lambda b: struct.pack("<Q", 2**40) + b[8:]), "records"),
     ("too many points", BINARY, data("points3D.bin", lambda b: struct.pack("<Q", 2**63) + b[8:]), "records"),
     ("a track without end", BINARY, data("points3D.bin", lambda b: b[:51] + struct.pack("<Q", 2**62) + b[59:]), "records"),
-    ("a pose of no length", BINARY, data("images.bin", lambda b: b[:12] + bytes(32) + b[44:]), "pose"),
-    ("a pose that is not finite", BINARY, data("images.bin", lambda b: b[:12] + struct.pack("<d", NAN) + b[20:]), "pose"),
     ("a path out of the folder", BINARY, data("images.bin", renamed("../../x")), "outside"),
     ("a name that is no text", BINARY, data("images.bin", lambda b: b.replace(b"003.png", b"\xff\xfe3.png")), "damaged"),
     ("no images file", BINARY, delete("sparse/0/images.bin"), "images.bin"),
+]  # fmt: skip
+
+ONE_VIEW: list[tuple[str, tuple[str, ...], Callable[[Path], object], str]] = [
+    ("a picture that claims to be huge", tuple(KINDS), huge, "003.*(30000 x 22500|675000000)"),
+    ("a picture cut short", tuple(KINDS), cut, "003"),
+    ("no pose", JSON, frames(lambda v: v["frames"][2].pop("transform_matrix")), "frame 2.*transform_matrix"),
+    ("a pose that is not finite", JSON, frames(lambda v: v["frames"][2]["transform_matrix"][0].__setitem__(3, NAN)), "frame 2|'002'"),
+    ("a flat pose", JSON, frames(lambda v: v["frames"][2].update(transform_matrix=FLAT)), "'002'.*pose"),
+    ("a mirroring pose", JSON, frames(lambda v: v["frames"][2].update(transform_matrix=MIRROR)), "'002'.*mirrors"),
+    ("a lens that is not finite", JSON, frames(lambda v: v["frames"][2].update(k1=NAN)), "lens"),
+    ("a lens of words", JSON, frames(lambda v: v["frames"][2].update(k1="strong")), "frame 2.*numbers"),
+    ("a size of nothing", JSON, frames(lambda v: v["frames"][2].update(w=0)), "above 0"),
+    ("a turned image", JSON, frames(lambda v: v["frames"][2].update(w=18, h=24)), "turned"),
+    ("a pose that is not finite", LLFF, put((2, 3), NAN), "finite"),
+    ("a flat pose", LLFF, put((2, [0, 5, 10]), 0.0), "'002'.*pose"),
+    ("near beyond far", LLFF, put((2, 15), 99.0), "pose 2.*99"),
+    ("a size of nothing", LLFF, put((2, 4), 0.0), "above 0"),
+    ("no focal length", LLFF, put((2, 14), 0.0), "focal"),
+    ("a pose of no length", BINARY, data("images.bin", lambda b: b[:12] + bytes(32) + b[44:]), "pose"),
+    ("a pose that is not finite", BINARY, data("images.bin", lambda b: b[:12] + struct.pack("<d", NAN) + b[20:]), "pose"),
+    ("a picture cut in half", tuple(KINDS), half, "003.*damaged|003.*truncated"),
+    ("one unknown lens", JSON, frames(lambda v: v["frames"][2].update(camera_model="PERISCOPE")), "frame 2.*PERISCOPE"),
+    ("no focal length", JSON, frames(lambda v: v["frames"][2].update(fl_x=0)), "'002'.*focal"),
 ]  # fmt: skip
 
 
@@ -246,6 +261,41 @@ def test_one_sentence_says_what_is_wrong(tmp_path, kind, spoil, says):
         tracemalloc.stop()
     assert "\n" not in str(error.value) and str(error.value)[-1] in ".;)'"
     assert sorted(p for p in tmp_path.rglob("*")) == before
+
+
+@pytest.mark.hard_case(4, 5, 59, 61, 62)
+@pytest.mark.parametrize(
+    ("kind", "spoil", "says"), [pytest.param(k, edit, says, id=f"{k}: {name}") for name, kinds, edit, says in ONE_VIEW for k in kinds]
+)
+def test_one_view_that_cannot_be_used_is_left_out_and_named(tmp_path, kind, spoil, says):
+    folder = KINDS[kind](tmp_path / "capture")
+    spoil(folder)
+    tracemalloc.start()
+    try:
+        dataset = read_dataset(folder, options=DatasetOptions(0))
+        assert tracemalloc.get_traced_memory()[1] < 2**25
+    finally:
+        tracemalloc.stop()
+    (note,) = dataset.remarks()
+    assert len(dataset.views) == 7 and re.search(says, note) and note.endswith("left out.") and "\n" not in note
+    assert dataset.bounds is None or len(dataset.bounds) == 7
+
+
+def test_many_views_that_cannot_be_used(tmp_path):
+    """A split may name them; the first are named, and the last picture says why there are too few."""
+    folder = write_ngp(tmp_path / "capture", ring(20), train_filenames=[f"images/{i:03d}.png" for i in range(20)])
+    for index in range(3, 20):
+        (folder / "images" / f"{index:03d}.png").write_bytes(b"no picture")
+    dataset = read_dataset(folder)
+    assert [c.name for c in dataset.cameras] == ["000", "001", "002"] and dataset.skipped_frames == 0
+    assert len(dataset.notes) == 9 and dataset.notes[-1].startswith("9 more images")
+    for index in (1, 2):
+        (folder / "images" / f"{index:03d}.png").write_bytes(b"no picture")
+    with pytest.raises(SnergError, match=r"1 image to train on.*11 more images"):
+        read_dataset(folder)
+    (folder / "images" / "000.png").write_bytes(b"no picture")
+    with pytest.raises(SnergError, match=r"000\.png cannot be read"):
+        read_dataset(folder)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -82,13 +82,14 @@ def test_pictures_that_agree_on_no_up():
 @pytest.mark.parametrize("lens", [None, LENS, FISHEYE])
 def test_instant_ngp(tmp_path, lens):
     cameras, by = ring(lens=lens), similarity()
-    folder = write_ngp(tmp_path / "a", moved(cameras, by), suffix=".png" if lens else "")
+    offset = (0.5 - 0.33 * by[:3, 3]).tolist()  # the cube stands round the object
+    folder = write_ngp(tmp_path / "a", moved(cameras, by), suffix=".png" if lens else "", offset=offset)
     dataset = read_dataset(folder, options=ALL)
     check_cameras(dataset, cameras, by)
     assert dataset.cameras[0].distortion == lens and dataset.kind == "transforms" and dataset.read(3)[0, 0, 0] == 37
     scale = np.cbrt(np.linalg.det(dataset.source_to_world[:3, :3]))
     assert dataset.box.size[0] == pytest.approx(2 / 0.33 * scale)  # aabb_scale 2
-    assert np.allclose(dataset.box.box_to_world[:3, 3], dataset.source_to_world[:3, 3])
+    assert np.allclose(dataset.box.box_to_world[:3, 3], 0, atol=1e-6)
 
 
 @pytest.mark.parametrize("large", [32, 128])
@@ -228,7 +229,7 @@ def test_colmap(tmp_path, model, binary):
     back = dataset.source_to_world @ by
     assert np.allclose(dataset.points, apply(back, points), atol=1e-4) and np.array_equal(dataset.colours, colours)
     inliers = apply(back, points)[2:]
-    assert dataset.box.contains(inliers).mean() > 0.95 and dataset.box.size.max() < 3  # two points a thousand away do not count
+    assert dataset.box.contains(inliers).all() and dataset.box.size.max() < 16  # two points a thousand away do not count
     assert ((dataset.bounds[:, 0] > 2) & (dataset.bounds[:, 0] < 4)).all() and (dataset.bounds[:, 1] > 4).all()
 
 

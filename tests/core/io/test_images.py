@@ -153,3 +153,63 @@ def test_large_photographs_raise_no_warning(tmp_path):
     assert side * side < MAX_PIXELS
     Image.new("1", (side, side)).save(tmp_path / "a.png", compress_level=0)
     assert read_size(tmp_path / "a.png") == (side, side)
+
+
+def smooth(width: int = 48, height: int = 32) -> np.ndarray:
+    """[H, W, 3]: a gradient, which lossy codecs keep nearly as it is."""
+    rows, columns = np.mgrid[0:height, 0:width]
+    return np.stack([columns * 4, rows * 6, np.full_like(rows, 90)], axis=-1).astype(np.uint8)
+
+
+def test_avif_with_and_without_alpha(tmp_path):
+    pixels = smooth()
+    Image.fromarray(pixels).save(tmp_path / "a.avif", quality=95)
+    assert read_size(tmp_path / "a.avif") == (48, 32)
+    assert np.abs(read_image(tmp_path / "a.avif").astype(int) - pixels).max() < 12
+    clear = np.dstack([pixels, np.where(np.arange(48) < 24, 0, 255) * np.ones((32, 1))]).astype(np.uint8)
+    Image.fromarray(clear).save(tmp_path / "b.avif", quality=95)
+    found = read_image(tmp_path / "b.avif")
+    assert found.shape == (32, 48, 4) and found[5, 5, 3] == 0 and found[5, 40, 3] == 255
+    data = (tmp_path / "a.avif").read_bytes()
+    (tmp_path / "a.avif").write_bytes(data[: len(data) // 2])
+    for read in (read_image, read_size):
+        with pytest.raises(SnergError, match=r"a\.avif"):
+            read(tmp_path / "a.avif")
+
+
+def test_heic_under_any_name(tmp_path):
+    heif = pytest.importorskip("pillow_heif")
+    pixels = smooth()
+    heif.from_pillow(Image.fromarray(pixels)).save(tmp_path / "a.heic", quality=95)
+    (tmp_path / "b.jpg").write_bytes((tmp_path / "a.heic").read_bytes())
+    for name in ("a.heic", "b.jpg"):
+        assert read_size(tmp_path / name) == (48, 32)
+        assert np.abs(read_image(tmp_path / name).astype(int) - pixels).max() < 12
+    data = (tmp_path / "a.heic").read_bytes()
+    (tmp_path / "a.heic").write_bytes(data[: len(data) // 2])
+    for read in (read_image, read_size):
+        with pytest.raises(SnergError, match=r"a\.heic"):
+            read(tmp_path / "a.heic")
+
+
+def test_a_format_without_its_decoder_says_what_to_install(tmp_path, monkeypatch):
+    (tmp_path / "a.heic").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
+    (tmp_path / "a.avif").write_bytes(b"\0\0\0\x18ftypavif\0\0\0\0mif1avif" + bytes(100))
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    monkeypatch.setattr("snerg.core.io.images.features.check", lambda name: False)
+    for name, says in (("a.heic", "pip install pillow-heif"), ("a.avif", "pip install -U pillow")):
+        with pytest.raises(SnergError, match=says):
+            read_size(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "webp", "avif"])
+def test_a_file_copied_in_part_is_known_by_its_size(tmp_path, suffix):
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    file = tmp_path / f"a.{suffix}"
+    Image.fromarray(noise).save(file)
+    data = file.read_bytes()
+    file.write_bytes(data + bytes(9000))  # another program's data may follow
+    assert read_size(file) == (64, 64)
+    file.write_bytes(data[: len(data) * 2 // 3])
+    with pytest.raises(SnergError, match="a." + suffix):
+        read_size(file)

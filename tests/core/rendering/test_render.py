@@ -19,7 +19,7 @@ from scenes import (
     snerg_from_volume,
 )
 from snerg.core.errors import Cancelled
-from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.camera import Camera, panorama_focal
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.frame import Composited
 from snerg.core.nerf.model import ViewNetwork, view_residual
@@ -52,6 +52,36 @@ def test_equals_the_dense_march(diffuse, index):
     assert np.abs(got.over() - truth.over()).max() < 1e-4
     seen = got.alpha > 0.01
     assert np.abs(got.depth[seen] - truth.depth[seen]).max() < 1e-2
+
+
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("projection", ["equirectangular", "fisheye"])
+def test_wide_cameras_equal_the_dense_march(projection, inside):
+    """Rays of one tile go apart, to all sides at a pole, also from inside of the scene; depth is along the ray."""
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
+    pose = looking((0.4, -0.1, 0.2) if inside else (0.5, -2.2, 0.9), CENTRE)
+    if projection == "equirectangular":
+        camera = Camera(48, 24, panorama_focal(48, 24), (24, 12), pose, projection)
+    else:
+        camera = Camera(32, 32, (8.5, 9.0), (15, 16.5), pose, projection, distortion=LENSES[1])
+    got, truth = render_scene(scene, camera), dense_march(scene, camera)
+    assert got.alpha.max() > 0.5
+    assert np.abs(1 - got.alpha - truth.transmittance).max() < 1e-4
+    assert np.abs(got.over() - truth.over()).max() < 1e-4
+    seen = got.alpha > 0.01
+    assert np.abs(got.depth[seen] - truth.depth[seen]).max() < 1e-2
+
+
+def test_a_fisheye_shows_nothing_outside_of_its_circle_and_clips_along_its_rays():
+    scene = make_snerg(angles=ANGLES, centre=CENTRE)
+    camera = Camera(40, 40, (13.0, 13.0), (20, 20), looking((0.3, -0.2, 0.2), CENTRE), "fisheye")
+    whole, circle = render_scene(scene, camera), render_scene(scene, replace(camera, widest=1.0))
+    inside = replace(camera, widest=1.0).valid_pixels()
+    assert (
+        np.array_equal(circle.alpha[inside], whole.alpha[inside]) and circle.alpha[~inside].max() == 0 and whole.alpha[~inside].max() > 0.5
+    )
+    near = render_scene(scene, replace(camera, near=0.4, far=0.8))
+    assert near.depth[near.alpha > 0.01].min() > 0.39 and near.depth[near.alpha > 0.01].max() < 0.81
 
 
 @pytest.mark.hard_case(33, 36)

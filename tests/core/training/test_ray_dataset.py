@@ -7,7 +7,7 @@ import pytest
 
 from scenes import looking, make_cameras
 from snerg.core.errors import SnergError
-from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.camera import Camera, panorama_focal
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.geometry.ndc import Ndc, space_rays
 from snerg.core.nerf.sampling import Domain
@@ -30,6 +30,28 @@ def mixed_cameras() -> tuple[Camera, ...]:
         Camera(7, 13, (5.0, 5.0), (3, 6), pose, distortion=fisheye),
         Camera(9, 9, (9.0, 9.0), (4, 4), pose, distortion=Distortion("opencv", lens.coefficients)),
     )
+
+
+def wide_cameras() -> tuple[Camera, ...]:
+    """Panoramas and fisheyes that are computed in angles, among others."""
+    pose = looking((1, -3, 2), (0, 0, 0))
+    lens = Distortion("fisheye", (0.02, -0.01))
+    return (
+        Camera(16, 8, panorama_focal(16, 8), (8, 4), pose, "equirectangular"),
+        *mixed_cameras()[:3],
+        Camera(9, 9, (2.5, 2.5), (4.4, 4.6), pose, "fisheye", distortion=lens),
+        Camera(9, 7, (2.5, 2.0), (4.4, 4.6), looking((0, 2, 2), (0, 0, 0)), "fisheye"),
+        Camera(7, 13, (5.0, 5.0), (3, 6), pose, distortion=lens),
+    )
+
+
+def test_rays_of_wide_cameras_are_the_cameras_rays():
+    cameras = wide_cameras()
+    pool = RayDataset(blank(cameras), cameras, DOMAIN)
+    origins, directions, _, _, world = pool.rays(np.arange(len(pool.pixels)))
+    expected = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
+    assert np.allclose(origins, (expected[0] - DOMAIN.centre) * DOMAIN.scale)
+    assert np.allclose(directions, expected[1], atol=1e-9) and np.array_equal(directions, world)
 
 
 @pytest.mark.hard_case(2, 3)
