@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import FISHEYE, moved, pictures, ring, similarity
+from captures import FISHEYE, moved, pictures, ring, similarity, thing, write_colmap
 
 from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import DatasetOptions
@@ -287,7 +287,12 @@ def test_splats_bring_their_points(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     (folder / "input.ply").write_text(header + body)
     assert len(read_dataset(folder / "cameras.json", options=ALL).points) == 12
+    write_colmap(folder, ring(8), *thing(20, 0), model="PINHOLE")  # a result in its capture's folder
+    assert read_dataset(folder, options=ALL).kind == "colmap" and read_dataset(folder / "cameras.json", options=ALL).kind == "splats"
+    shutil.rmtree(folder / "sparse")
     shutil.rmtree(folder / "images")
+    with pytest.raises(SnergError, match="without photographs"):
+        read_dataset(folder / "cameras.json", options=ALL)
     (folder / "point_cloud" / "iteration_7000").mkdir(parents=True)
     with pytest.raises(SnergError, match=r"splatting.*trained on"):
         read_dataset(folder, options=ALL)
