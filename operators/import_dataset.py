@@ -28,7 +28,7 @@ TITLES = {"train": "Training Views", "val": "Held-Out Views", "test": "Test View
 
 
 class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
-    """Import photographs with their cameras (transforms.json, LLFF or COLMAP). Adds the cameras with background images, and the box"""
+    """Import photographs with their cameras: transforms.json, COLMAP, Metashape and others. Adds cameras, background images and a box"""
 
     bl_idname = "snerg.import_dataset"
     bl_label = "Import Dataset"
@@ -37,7 +37,7 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
     kinds = ("dataset",)
     changes_file = True
     key, noun = "dataset", "dataset"
-    accepted = "*.json;poses_bounds.npy"  # a COLMAP model is a folder
+    accepted = "*.json;poses_bounds.npy;*.xml;*.csv;*.out"  # others, such as a COLMAP model, are folders
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """Read the dataset in a thread. Only `finish` changes the scene, so that one undo removes it all."""

@@ -126,7 +126,7 @@ def assignment(text: str) -> tuple[str, str]:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg train`."""
-    parser.add_argument("dataset", type=artifact, metavar="DATASET", help="folder with transforms.json, poses_bounds.npy or a COLMAP model")
+    parser.add_argument("dataset", type=artifact, metavar="DATASET", help="folder of a capture (see docs/captures.md)")
     parser.add_argument("--out", type=path, required=True, metavar="FIELD")
     parser.add_argument("--preset", choices=tuple(PRESETS), default="fast", help="kind of field and its settings (default: %(default)s)")
     length = parser.add_mutually_exclusive_group()

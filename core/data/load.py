@@ -23,7 +23,7 @@ from .training_box import training_box
 DEFAULT_OPTIONS = DatasetOptions()
 Reader = tuple[Callable[[Path], bool], Callable[[Path, str, DatasetOptions], Source]]
 READERS: tuple[Reader, ...] = (  # (whether it knows the format of a path, its reader), in the order in which they are tried
-    (splats.is_splats, lambda path, _, options: splats.read_splats(path, options)),
+    (splats.is_splat_file, lambda path, _, options: splats.read_splats(path, options)),  # else it would pass for a transforms file
     (sdfstudio.is_sdfstudio, sdfstudio.read_sdfstudio),
     (transforms.is_transforms, transforms.read_transforms),
     (llff.is_llff, lambda path, _, options: llff.read_llff(path, options)),
@@ -33,6 +33,7 @@ READERS: tuple[Reader, ...] = (  # (whether it knows the format of a path, its r
     (metashape.is_metashape, lambda path, _, options: metashape.read_metashape(path, options)),
     (realitycapture.is_realitycapture, lambda path, _, options: realitycapture.read_realitycapture(path, options)),
     (bundler.is_bundler, lambda path, _, options: bundler.read_bundler(path, options)),
+    (splats.is_splats, lambda path, _, options: splats.read_splats(path, options)),  # last: a result may lie in its capture's folder
 )
 
 

@@ -185,6 +185,11 @@ class Camera:
             flat = self.distortion.distort(flat)
         return np.array(self.centre) + np.array(self.focal) * flat, depth
 
+    def stretch(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """How much longer than in the middle an angle is at pixel coordinates [N, 2] of a wide camera, [N] (see wide.stretch)."""
+        flat = (pixels - np.array(self.centre)) / np.array(self.focal)
+        return wide.stretch(self.projection, flat, self._angular())
+
     def shows(self, points: NDArray[Any]) -> NDArray[Any]:
         """Whether world points [N, 3] lie in the camera's frustum, bool [N]. Occlusion is not considered."""
         pixels, depth = self.project(points)

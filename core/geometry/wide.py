@@ -45,6 +45,16 @@ def flats(projection: str, local: NDArray[Any], k: Coefficients, widest: float) 
     return np.where(seen[:, None], np.stack([x * scale, -y * scale], axis=-1), OUTSIDE)
 
 
+def stretch(projection: str, flat: NDArray[Any], k: Coefficients) -> NDArray[Any]:
+    """How much longer than in the middle an angle is at flat coordinates [N, 2], in its longest direction, [N] float64."""
+    if projection == "equirectangular":
+        return np.asarray(1 / np.maximum(np.cos(flat[:, 1]), 1e-9))
+    radius = np.linalg.norm(flat, axis=-1)
+    angle = np.minimum(angles(radius, k), math.pi)
+    around = np.where(angle > 1e-6, radius / np.maximum(np.sin(angle), 1e-9), 1.0)
+    return np.maximum(around, _slope(angle, k))
+
+
 def distorted(angle: NDArray[Any], k: Coefficients) -> NDArray[Any]:
     """theta (1 + k1 theta^2 + k2 theta^4 + ...) of angles [N] (Kannala and Brandt 2006), [N] float64."""
     square, factor = angle * angle, np.zeros_like(angle)

@@ -16,6 +16,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 
 CELLS = 128  # cells of the occupancy grid along an axis (Mueller et al. 2022)
+MAX_STRETCH = 3  # of angles in the picture of a panorama or wide fisheye, up to which it carves
 COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the extent of the visual hull
 
 
@@ -65,15 +66,28 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
         inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         seen[alive] |= inside
-        if mask is None or camera.is_wide:  # near a panorama's poles and seam a sphere may cover any number of pixels
+        if mask is None:
             continue
-        spread = dilated(mask, _footprint(camera, depth[inside], radius))
+        size = _footprint(camera, depth[inside], radius)
         gone = inside.copy()
-        gone[inside] = ~spread[row[inside], column[inside]]
+        if camera.is_wide:
+            size *= MAX_STRETCH
+            gone[inside] = _measurable(camera, pixels[inside], size)
+        spread = dilated(mask, size)
+        gone[inside] &= ~spread[row[inside], column[inside]]
         alive = alive[~gone]
     result = np.zeros(len(points), bool)
     result[alive] = True
     return np.asarray(result & seen)
+
+
+def _measurable(camera: Camera, pixels: NDArray[Any], size: int) -> NDArray[Any]:
+    """Whether a wide camera's picture is stretched at most MAX_STRETCH times at pixels [N, 2], and, for a panorama, the seam is more than
+    `size` pixels away, bool [N]: elsewhere a sphere may cover any number of pixels, or come back on the other side."""
+    sure = camera.stretch(pixels) <= MAX_STRETCH
+    if camera.projection == "equirectangular":
+        sure &= (pixels[:, 0] > size) & (pixels[:, 0] < camera.width - size)
+    return np.asarray(sure)
 
 
 def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:

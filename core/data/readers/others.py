@@ -70,7 +70,7 @@ def _file(path: Path) -> tuple[str, str] | None:
 
 
 def check_json(path: Path, value: object) -> None:
-    """Raise SnergError, which names the tool, when a JSON file is of OpenMVG, Meshroom or OpenSfM instead of a transforms file."""
+    """Raise SnergError, which names the tool, when a JSON file is of OpenMVG, Meshroom, OpenSfM or Gaussian splatting."""
     keys = value[0] if isinstance(value, list) and value else value
     if not isinstance(keys, dict):
         return
@@ -78,5 +78,7 @@ def check_json(path: Path, value: object) -> None:
         raise SnergError(f"{path} is a reconstruction of OpenMVG, which is not read; {OPENMVG}.")
     if "views" in keys and "intrinsics" in keys:
         raise SnergError(f"{path} is a project of Meshroom, which is not read; {EXPORT_COLMAP}.")
+    if "img_name" in keys:
+        raise SnergError(f"{path} is of cameras of Gaussian splatting without photographs; put these into a folder 'images' beside it.")
     if "shots" in keys:
         raise SnergError(f"{path} is a reconstruction of OpenSfM or ODM, which is not read; {OPENSFM}.")

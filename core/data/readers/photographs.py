@@ -106,13 +106,15 @@ def read_xml(path: Path) -> ElementTree.Element:
 
 
 def numbers(text: str | None, count: int, what: str) -> NDArray[Any]:
-    """The numbers in a text, separated by white space, [count] float64. Raises SnergError, which names `what`, for another count."""
+    """The numbers in a text, separated by white space, [count] float64. Raises SnergError, which names `what`, for other text."""
     try:
         values = np.array((text or "").split(), np.float64)
     except ValueError as error:
         raise SnergError(f"{what} is {text!r:.80}, not {count} numbers; export it again.") from error
     if len(values) != count:
         raise SnergError(f"{what} has {len(values)} numbers instead of {count}; export it again.")
+    if not np.isfinite(values).all():
+        raise SnergError(f"{what} is not finite; export it again.")
     return values
 
 

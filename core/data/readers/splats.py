@@ -28,6 +28,11 @@ def is_splats(path: Path) -> bool:
     return file.name == FILE and file.is_file() and has_image_folder(file.parent)
 
 
+def is_splat_file(path: Path) -> bool:
+    """Whether a path is a file cameras.json with a folder of images beside it."""
+    return path.is_file() and is_splats(path)
+
+
 def read_splats(path: Path, options: DatasetOptions) -> Source:
     """Read cameras.json and find its photographs, and the points of input.ply if it is there.
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import FISHEYE, moved, pictures, ring, similarity
+from captures import FISHEYE, moved, pictures, ring, similarity, thing, write_colmap
 
 from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import DatasetOptions
@@ -252,6 +252,22 @@ def test_metashape_leaves_out_what_is_not_aligned(tmp_path):
         read_dataset(folder, options=ALL)
 
 
+def test_numbers_that_are_not_finite_leave_out_one_camera(tmp_path):
+    folder = write_metashape(tmp_path / "a", ring(8))
+    text = (folder / "cameras.xml").read_text()
+    start = text.index("<transform>", text.index('label="003')) + len("<transform>")
+    (folder / "cameras.xml").write_text(text[:start] + "nan " + text[text.index(" ", start) :])
+    assert "camera 003" in read_dataset(folder, options=ALL).notes[0]
+    (folder / "cameras.xml").write_text(text.replace("<f>27.0</f>", "<f>inf</f>"))
+    with pytest.raises(SnergError, match=r"its f is not finite"):
+        read_dataset(folder, options=ALL)
+    folder = write_realitycapture(tmp_path / "b", SQUARE)
+    table = folder / "registration.csv"
+    table.write_text(table.read_text("utf-8-sig").replace("\n002.jpg,", "\n002.jpg,nan,1,1,0,0,0,20\nzzz.jpg,", 1))
+    dataset = read_dataset(folder, options=ALL)
+    assert "002.jpg" in dataset.notes[0] and dataset.skipped_frames == 1
+
+
 def test_realitycapture_without_what_is_needed(tmp_path):
     folder = write_realitycapture(tmp_path / "a", SQUARE)
     (folder / "registration.csv").write_text("#name,x,y,z\n000.jpg,1,2,3\n")
@@ -271,7 +287,12 @@ def test_splats_bring_their_points(tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 12\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     (folder / "input.ply").write_text(header + body)
     assert len(read_dataset(folder / "cameras.json", options=ALL).points) == 12
+    write_colmap(folder, ring(8), *thing(20, 0), model="PINHOLE")  # a result in its capture's folder
+    assert read_dataset(folder, options=ALL).kind == "colmap" and read_dataset(folder / "cameras.json", options=ALL).kind == "splats"
+    shutil.rmtree(folder / "sparse")
     shutil.rmtree(folder / "images")
+    with pytest.raises(SnergError, match="without photographs"):
+        read_dataset(folder / "cameras.json", options=ALL)
     (folder / "point_cloud" / "iteration_7000").mkdir(parents=True)
     with pytest.raises(SnergError, match=r"splatting.*trained on"):
         read_dataset(folder, options=ALL)

@@ -6,14 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import make_snerg
+from scenes import looking, make_snerg
 from snerg.core.cli import main
 from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.export import export_reference
+from snerg.core.commands.render import render_views
+from snerg.core.data.readers.transforms import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.reference import reference_files, write_reference
 from snerg.core.export.scene_files import codec_of, read_scene, scene_files, write_scene
+from snerg.core.geometry.camera import Camera, panorama_focal
+from snerg.core.io.images import read_image
 
 
 @pytest.fixture
@@ -139,3 +143,24 @@ def test_every_file_of_a_scene_is_named(tmp_path):
     write_scene(scene, tmp_path / "h264", codec=CodecSettings("h264", 70))
     for folder in (tmp_path / "float", tmp_path / "h264"):
         assert {path.name for path in scene_files(folder)} == {path.name for path in folder.iterdir()} - {".snerg"}
+
+
+def test_a_page_leaves_out_panoramas_and_says_so(tmp_path):
+    """The page cannot draw them; `snerg render` can, also from the same file."""
+    pose = looking((1.5, -2.0, 0.8), (0, 0, 0))
+    cameras = [
+        Camera(24, 18, (26.0, 26.0), (12, 9), pose, name="plain"),
+        Camera(32, 16, panorama_focal(32, 16), (16, 8), pose, "equirectangular", "round"),
+        Camera(16, 16, (6.0, 6.0), (8, 8), pose, "fisheye", "fish", widest=1.4),
+    ]
+    write_transforms(tmp_path / "t.json", cameras, [camera.name for camera in cameras])
+    write_scene(make_snerg((20, 20, 20)), tmp_path / "scene")
+    said: list[str] = []
+    result = bundle_scene(tmp_path / "scene", tmp_path / "page", tmp_path / "t.json", progress=lambda _, text: said.append(str(text)))
+    listed = json.loads((tmp_path / "page" / "cameras.json").read_text())["cameras"]
+    assert [camera["name"] for camera in listed] == ["plain"] and result["cameras"] == 1
+    assert any(text.startswith("2 panoramic or fisheye cameras are left out") for text in said)
+    written = render_views(tmp_path / "scene", tmp_path / "t.json", tmp_path / "out")
+    assert written["files"] == ["plain.png", "round.png", "fish.png"]
+    fish = read_image(tmp_path / "out" / "fish.png")
+    assert fish[..., 3].max() > 100 and fish[0, 0, 3] == 0

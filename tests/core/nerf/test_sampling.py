@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from scenes import make_cameras
+from scenes import looking, make_cameras
 from snerg.core.geometry.box import Box
+from snerg.core.geometry.camera import Camera, panorama_focal
+from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.sampling import CELLS, Domain, Occupancy, carve, cell_centres, cell_index, dilated, hull, pack_samples
 
 DOMAIN = Domain(np.zeros(3), 1.0, np.array([-1.0, -0.8, -0.9]), np.array([1.0, 0.8, 0.9]))
@@ -16,7 +18,8 @@ def balls(cameras, radius=0.4):
     for camera in cameras:
         origins, directions = camera.rays()
         closest = np.linalg.norm(np.cross(origins, directions), axis=-1)
-        masks.append((closest < radius).reshape(camera.height, camera.width))
+        ahead = (origins * directions).sum(axis=-1) < 0
+        masks.append((ahead & (closest < radius)).reshape(camera.height, camera.width))
     return masks
 
 
@@ -29,6 +32,22 @@ def test_the_hull_holds_the_object_and_little_else():
     assert alive[distance < 0.39].all()
     assert (distance[alive] < 0.75).mean() > 0.95
     assert domain.world_box().size.max() < 1.6
+
+
+@pytest.mark.parametrize("projection", ["equirectangular", "fisheye"])
+def test_wide_cameras_carve_and_keep_the_object(projection):
+    """Cameras that look past the ball, whose pictures show it at the seam, near a pole or at the edge of a fisheye too."""
+    cameras = []
+    for index, around in enumerate(np.linspace(0, 2 * np.pi, 12, endpoint=False)):
+        eye = 1.8 * np.array([np.cos(around), np.sin(around), 0.6 * np.sin(3 * around)])
+        pose = looking(tuple(eye), tuple(np.array([[0, 0, 0], [0, 0, 9], 2 * eye, [eye[1] * 9, -eye[0] * 9, 0]][index % 4])), 0.3 * index)
+        if projection == "equirectangular":
+            cameras.append(Camera(160, 80, panorama_focal(160, 80), (80, 40), pose, projection))
+        else:
+            cameras.append(Camera(120, 120, (34.0, 36.0), (60, 60), pose, projection, distortion=Distortion("fisheye", (0.02, -0.004))))
+    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
+    alive, distance = carve(points, cameras, balls(cameras), 0.02), np.linalg.norm(points, axis=-1)
+    assert alive[distance < 0.41].all() and alive[distance > 0.8].mean() < 0.1
 
 
 def test_cameras_without_alpha_keep_what_they_see():
