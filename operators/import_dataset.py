@@ -49,6 +49,8 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         bare: dict[str, tuple[Camera, ...]] = result["bare"]
         add_dataset(parts, bare, scene, result["path"].stem)
         scene.snerg.dataset = blend_path(result["path"])
+        counts = {part.split: len(part.views) for part in parts}
+        project.note_dataset(result["path"], counts)
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]

@@ -29,6 +29,7 @@ class SNERG_OT_train(TaskOperator, bpy.types.Operator):
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
+        project.note_dataset(project.dataset, {})
         project.note_settings(out, arguments[arguments.index("--preset") :])
         shown = settings.show_training and not bpy.app.background
         return start_training([*arguments, "--preview"] if shown else arguments)

@@ -16,7 +16,7 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, flamenco, saving, steps, training_object, training_python
+from ..snerg_addon import activity, flamenco, results, saving, steps, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
 from .task_operator import TaskOperator, redraw, remember_for_undo
@@ -34,6 +34,7 @@ def tick() -> float:
         _stale = any([training_python.poll(), flamenco.poll()]) or _stale or bool(activity.current())
         saving.move_saved_projects()
         find()
+        _stale = results.refresh() or _stale
         if windows := bpy.context.window_manager.windows:
             _stale = steps.follow(windows[0].scene) or _stale
         for running in activity.current():

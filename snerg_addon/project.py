@@ -7,6 +7,7 @@ dataset, studies, exports and jobs. owner.py says which folder belongs to a scen
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Mapping
@@ -93,20 +94,29 @@ class Project:
         """The versions of 'field' or 'scene', the oldest first. Version 0.1 had only one, in the folder `field` or `scene`."""
         name, mark = VERSIONS[step]
         try:
-            numbered = sorted(path for path in (self.folder / name).iterdir() if path.name.isdigit())
+            named = sorted(path for path in (self.folder / name).iterdir() if not path.name.startswith("."))  # what is being written
         except OSError:
-            numbered = []
-        return [path for path in (self.folder / step, *numbered) if (path / mark).is_file()]
+            named = []
+        return [path for path in (self.folder / step, *named) if (path / mark).is_file()]
 
     def in_use(self, step: str) -> Path:
         """The version in use: chosen by the artist, or made last; the newest where that was deleted. It may not exist yet."""
         there = self.versions(step)
-        chosen = self.folder / str(self._used().get(step, ""))
+        chosen = self.chosen(step)
         return chosen if chosen in there else there[-1] if there else self.folder / step
+
+    def chosen(self, step: str) -> Path | None:
+        """The version of 'field' or 'scene' that was chosen or made last, whether it is still there or not; None where none was."""
+        used = self._used().get(step)
+        return self.folder / str(used) if used else None
 
     def use(self, step: str, version: Path) -> None:
         """Choose the version of 'field' or 'scene' that is in use. Raises SnergError when the folder cannot be written."""
         self._write_owner(use={**self._used(), step: self.key(version)})
+
+    def use_newest(self, step: str) -> None:
+        """Use the newest version of 'field' or 'scene' from now on. Raises SnergError when the folder cannot be written."""
+        self._write_owner(use={key: value for key, value in self._used().items() if key != step})
 
     def new_version(self, step: str) -> Path:
         """Make an empty folder for a new version, with the next number. Raises SnergError when it cannot be made."""
@@ -142,6 +152,28 @@ class Project:
         names = cached_json(self.folder / OWNER).get("names")
         kept = dict(names) if isinstance(names, Mapping) else {}
         self._write_owner(names={**kept, self.key(version): name.strip()})
+
+    def note_dataset(self, path: Path, facts: dict[str, Any]) -> None:
+        """Record that a dataset outside the project was imported or trained on. Raises SnergError when the folder cannot be written."""
+        if path != self.own_dataset:
+            self.note(f"dataset {self._relative(path)}", {**self.note_of_dataset(path), **facts})
+
+    def note_of_dataset(self, path: Path) -> dict[str, Any]:
+        """The facts about a dataset outside the project; {} where there are none. Never raises."""
+        found = cached_json(self._notes).get(f"dataset {self._relative(path)}")
+        return found if isinstance(found, dict) else {}
+
+    def datasets(self) -> list[Path]:
+        """The datasets outside the project that were recorded, the oldest first."""
+        keys = [key.removeprefix("dataset ") for key in cached_json(self._notes) if key.startswith("dataset ")]
+        return [Path(os.path.normpath(self.folder / key)) for key in keys]
+
+    def _relative(self, path: Path) -> str:
+        """A path from the project's folder, so that both can be moved together; the path itself on another drive."""
+        try:
+            return Path(os.path.relpath(path, self.folder)).as_posix()
+        except ValueError:
+            return path.as_posix()
 
     def note_settings(self, version: Path, arguments: list[str]) -> None:
         """Record the command-line options that a version is made with. Raises SnergError when the folder cannot be written."""

@@ -11,7 +11,8 @@ from .. import activity
 from ..bridge import box_of, resolution
 from ..capture import views_rendered
 from ..project import Project, no_dataset, project_of
-from .layout import LINE_WIDTH, Step, draw_box, joined, megabytes
+from ..results import joined, megabytes
+from .layout import LINE_WIDTH, Step, draw_box
 
 
 class DatasetStep(Step):

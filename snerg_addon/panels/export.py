@@ -8,7 +8,8 @@ import bpy
 
 from ..project import project_of
 from ..properties import LOSSY
-from .layout import Step, draw_box, joined, megabytes
+from ..results import joined, megabytes
+from .layout import Step, draw_box
 
 
 class ExportStep(Step):

@@ -17,6 +17,7 @@ from .export import ExportStep
 from .field import FieldStep
 from .layout import SidebarPanel, Step, draw_sentence
 from .preview import PreviewStep
+from .results import draw_results
 from .study import StudyStep
 
 STEPS: tuple[Step, ...] = (BoxStep(), DatasetStep(), FieldStep(), BakeStep(), PreviewStep(), StudyStep(), ExportStep())
@@ -39,6 +40,7 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
         row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
         row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
         draw_project(layout, scene)
+        draw_results(layout, scene)
         if report := activity.last_report(project):
             draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR")
         if not activity.current(project):

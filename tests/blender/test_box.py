@@ -111,7 +111,7 @@ def test_a_box_in_an_excluded_collection_is_said(scene):
     hidden.objects.link(scene.snerg.box)
     scene.collection.objects.unlink(scene.snerg.box)
     bpy.context.view_layer.layer_collection.children["Put Aside"].exclude = True
-    with pytest.raises(RuntimeError, match="a collection that this view layer excludes"):
+    with pytest.raises(RuntimeError, match="a collection that the view layer excludes"):
         bpy.ops.snerg.add_box()
 
 

@@ -6,21 +6,13 @@ from pathlib import Path
 
 import bpy
 import pytest
-from stage import contents
+from stage import a_version, contents
 
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
 from snerg.operators import bake, train
-from snerg.snerg_addon.project import Project, project_of, remember
-
-
-def a_version(project: Project, step: str, psnr: float | None = None) -> Path:
-    """A new version as a job writes it: finished with this PSNR, or stopped where psnr is None."""
-    version = project.new_version(step)
-    (version / {"field": "field.npz", "scene": "scene.json"}[step]).write_bytes(str(psnr).encode())
-    if psnr is not None:
-        remember(project, step, version, {"psnr": psnr})
-    return version
+from snerg.snerg_addon import results
+from snerg.snerg_addon.project import project_of
 
 
 @pytest.mark.parametrize("step", ["field", "scene"])
@@ -38,9 +30,9 @@ def test_a_finished_version_is_in_use_and_a_stopped_one_is_not(scene, step):
 def test_the_artist_goes_back_renames_and_deletes(scene):
     project = project_of(scene)
     first, second = a_version(project, "field", 30.0), a_version(project, "field", 31.0)
-    assert bpy.ops.snerg.use_version(step="field", version=first.name) == {"FINISHED"}
+    results.choose(scene, "field", first)
     assert project.field == first and project.notes()["field"]["psnr"] == 30.0
-    assert bpy.ops.snerg.rename_version(step="field", version=first.name, name="Before the sofa") == {"FINISHED"}
+    project.rename(first, "Before the sofa")
     assert project.name_of(first) == "Before the sofa" and project.name_of(second) == second.name
     assert bpy.ops.snerg.delete_version(step="field", version=first.name) == {"FINISHED"}
     assert not first.exists() and project.versions("field") == [second] and project.field == second

@@ -1,0 +1,62 @@
+"""The list of the project's datasets, fields and scenes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from .. import results
+from ..project import VERSIONS, project_of
+from .layout import draw_sentence
+
+ICONS = {"dataset": "IMAGE_BACKGROUND", "field": "LIGHTPROBE_VOLUME", "scene": "OUTLINER_OB_VOLUME"}
+ROWS = 5  # that are shown at first; the list scrolls, and can be dragged longer
+FIGURES_SHARE = 0.5  # of a row's width that the name takes
+
+
+class SNERG_UL_results(bpy.types.UIList):
+    """Datasets, fields and scenes with their figures"""
+
+    bl_idname = "SNERG_UL_results"
+
+    def draw_item(
+        self, _context: Any, layout: bpy.types.UILayout, _data: Any, item: Any, _icon: int, _active: Any, _property: str, *_: Any
+    ) -> None:
+        """What it is, whether it is in use, its name and its figures."""
+        row = layout.row(align=True)
+        row.label(text="", icon="RADIOBUT_ON" if item.in_use else "RADIOBUT_OFF")
+        names = row.split(factor=FIGURES_SHARE, align=True)
+        if item.kind in VERSIONS:
+            names.prop(item, "label", text="", emboss=False, icon=ICONS[item.kind])
+        else:
+            names.label(text=item.shown, icon=ICONS[item.kind])
+        names.label(text=item.figures)
+
+
+def draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    """The list, closed at first, under a line that counts; and a sentence for each folder that was renamed or removed."""
+    for sentence in results.lost(project_of(scene), scene):
+        draw_sentence(layout.column(align=True), sentence, "ERROR")
+    shown = results.shown_results(scene)
+    if shown is None or not shown.items:
+        return
+    header, body = layout.panel("SNERG_results", default_closed=True)
+    header.label(text=counted([item.kind for item in shown.items]), icon="PRESET")
+    if body is None:
+        return
+    row = body.row()
+    row.template_list(SNERG_UL_results.bl_idname, "", shown, "items", shown, "index", rows=min(ROWS, max(2, len(shown.items))))
+    chosen = shown.items[shown.active] if 0 <= shown.active < len(shown.items) else None
+    delete = row.column(align=True)
+    delete.enabled = chosen is not None and chosen.kind in VERSIONS
+    button = delete.operator("snerg.delete_version", text="", icon="TRASH")
+    if chosen is not None:
+        button.step, button.version = chosen.kind, Path(chosen.folder).name
+
+
+def counted(kinds: list[str]) -> str:
+    """'1 dataset, 2 fields, 3 scenes'"""
+    return ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in Counter(kinds).items())
