@@ -7,7 +7,9 @@ from pathlib import Path
 import bpy
 
 from .. import activity, saving
+from ..folder_pattern import problem
 from ..owner import adoptable_project
+from ..preferences import project_pattern
 from ..project import project_of
 from ..steps import next_step
 from .bake import BakeStep
@@ -51,6 +53,8 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
 
 def draw_project(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     """Which file and scene the project belongs to, and another project that the artist may want in its place."""
+    if sentence := problem(project_pattern()):
+        draw_sentence(layout.column(align=True), f"{sentence} That is in the preferences.", "ERROR")
     if not bpy.data.filepath:
         draw_sentence(layout.column(align=True), "The project moves beside the .blend when you save the file.", "INFO")
         for folder in saving.orphaned_projects()[:1]:
