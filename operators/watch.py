@@ -22,6 +22,7 @@ from ..snerg_addon.project import project_of
 from .task_operator import TaskOperator, redraw, remember_for_undo
 
 TICK_SECONDS = 0.2  # between two calls of the timer
+STATUS_BAR_WIDTH = 6  # of a task's bar in the status bar, in widths of a square button
 IDLE_SECONDS = 1.0  # between two calls while no task runs
 WHOLE_FILE = {"OBJECT", "POSE"}  # the modes in which an undo step holds the whole file
 _stale = False  # whether something changed that is not drawn yet
@@ -150,9 +151,13 @@ def cannot_undo_now() -> str:
 
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
-    """Draw each activity at the end of the status bar, in every window and workspace."""
+    """Draw each activity with its bar at the end of the status bar, in every window and workspace."""
     for running in activity.current():
-        header.layout.label(text=f"SNeRG: {running.label}, {running.task.fraction:.0%}")
+        row = header.layout.row(align=True)
+        row.label(text=f"SNeRG: {running.label}", icon="PAUSE" if running.task.state == "waiting" else "SORTTIME")
+        bar = row.row(align=True)
+        bar.ui_units_x = STATUS_BAR_WIDTH
+        bar.progress(factor=running.task.fraction, text=f"{running.task.fraction:.0%}")
 
 
 def register() -> None:

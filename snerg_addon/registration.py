@@ -15,6 +15,7 @@ from . import (
     flamenco,
     menus,
     overlay,
+    page_server,
     panels,
     pictures,
     properties,
@@ -66,6 +67,7 @@ def unregister() -> None:
     draw.unregister()
     watch.unregister()
     training_python.stop()
+    page_server.stop()
     flamenco.stop()
     saving.unregister()
     quit.remove_keys()

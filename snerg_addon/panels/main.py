@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import bpy
@@ -17,7 +18,7 @@ from .box import BoxStep
 from .dataset import DatasetStep
 from .export import ExportStep
 from .field import FieldStep
-from .layout import SidebarPanel, Step, draw_sentence
+from .layout import LINE_WIDTH, SidebarPanel, Step, draw_sentence
 from .preview import PreviewStep
 from .results import draw_results
 from .study import StudyStep
@@ -77,10 +78,12 @@ def draw_task(layout: bpy.types.UILayout, running: activity.Activity) -> None:
     column = layout.column(align=True)
     column.label(text=running.label, icon="PAUSE" if task.state == "waiting" else "SORTTIME")
     row = column.row(align=True)
-    row.progress(factor=task.fraction, text=task.text or f"{task.fraction:.0%}")
+    row.progress(factor=task.fraction, text=f"{task.fraction:.0%}")
     stop = row.row(align=True)
     stop.enabled = not task.cancelling
     stop.operator("snerg.cancel", text="", icon="CANCEL").work = running.key
+    for line in textwrap.wrap(task.text, LINE_WIDTH):
+        column.label(text=line)
     column.label(text="Continues when Blender closes" if running.outlives else "Stops when Blender closes")
     if not task.notes:
         return
