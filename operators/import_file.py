@@ -10,6 +10,7 @@ import bpy
 from ..core.artifact import FIELDS, SCENES, kind_of
 from ..core.errors import SnergError
 from ..snerg_addon.properties import RELATIVE_PATHS
+from .task_operator import hand_over
 
 
 class SNERG_OT_import_file(bpy.types.Operator):
@@ -38,7 +39,7 @@ class SNERG_OT_import_file(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         how = "EXEC_DEFAULT" if bpy.app.background or context.window is None else "INVOKE_DEFAULT"
-        return set(getattr(bpy.ops.snerg, name)(how, filepath=str(path)))
+        return hand_over(self, name, how, filepath=str(path))
 
 
 def importer_of(path: Path) -> tuple[str, Path]:

@@ -41,7 +41,7 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
             draw_task(layout, running)
         row = layout.row(align=True)
         row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
-        row.operator("snerg.open_folder", text="", icon="FILEBROWSER")
+        row.operator("snerg.open_folder", text="", icon="FOLDER_REDIRECT")
         draw_project(layout, scene)
         draw_results(layout, scene)
         if report := activity.last_report(project):
