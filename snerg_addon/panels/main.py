@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import textwrap
 from pathlib import Path
 
@@ -43,11 +44,12 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
         row.prop(scene.snerg, "folder", text="", icon="FILE_FOLDER", placeholder="Beside the .blend")
         row.operator("snerg.open_folder", text="", icon="FOLDER_REDIRECT")
         draw_project(layout, scene)
-        draw_results(layout, scene)
         if report := activity.last_report(project):
-            draw_sentence(layout.column(align=True), report[0], "INFO" if report[1] else "ERROR")
+            sentence = report[0].replace(f"{project}{os.sep}", "")  # the paths of a project are long, and this is the project's panel
+            draw_sentence(layout.column(align=True), sentence, "INFO" if report[1] else "ERROR")
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
+        draw_results(layout, scene)
         for step in STEPS:
             step.draw(layout, context)
 

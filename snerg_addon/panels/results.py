@@ -44,7 +44,7 @@ def draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     if shown is None or not shown.items:
         return
     header, body = layout.panel("SNERG_results", default_closed=True)
-    header.label(text=counted([item.kind for item in shown.items]), icon="PRESET")
+    header.label(text=counted([item.kind for item in shown.items]), icon="ASSET_MANAGER")
     if body is None:
         return
     row = body.row()
