@@ -43,7 +43,7 @@ def draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     shown = results.shown_results(scene)
     if shown is None or not shown.items:
         return
-    header, body = layout.panel("SNERG_results", default_closed=True)
+    header, body = layout.panel_prop(bpy.context.window_manager.snerg_steps, "results")
     header.label(text=counted([item.kind for item in shown.items]), icon="ASSET_MANAGER")
     if body is None:
         return

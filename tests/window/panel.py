@@ -11,7 +11,7 @@ from typing import Any
 
 import blf
 import bpy
-from drive import Walk, Window
+from drive import SIDEBAR_MARGIN, Walk, Window
 
 STEPS = ("box", "dataset", "field", "bake", "preview", "study", "export")
 UNDO_STEPS = 14  # more than the walk makes
@@ -74,7 +74,7 @@ def empty_to_page(window: Window) -> Walk:
     yield from walk.paste("snerg.minutes", "0.1")
     yield from walk.run("snerg.train", "field")
     yield from walk.open("box")
-    yield from walk.click("snerg.fit_box_to_field")
+    yield from walk.click("snerg.fit_box_to_field", SIDEBAR_MARGIN)
     yield from walk.undone_and_redone("fitted")
     yield from walk.open("bake")
     yield from walk.paste("snerg.resolution", "48")
@@ -122,10 +122,10 @@ class Artist:
         self.pictures += 1
         yield from self.window.picture(f"{self.pictures:02d}-{name}")
 
-    def click(self, operator: str) -> Walk:
-        """Click a button of the steps that are open."""
+    def click(self, operator: str, from_right: int = 0) -> Walk:
+        """Click a button of the steps that are open. from_right: where it does not begin at the left, as in Window.find."""
         yield from self.window.wait(1.5)  # the step that comes next opens itself
-        yield from self.window.seek(f"bpy.ops.{operator}(", f"button for {operator}", ctrl=True)
+        yield from self.window.seek(f"bpy.ops.{operator}(", f"button for {operator}", from_right, ctrl=True)
         yield from self.window.press("LEFTMOUSE")
         yield from self.window.wait(0.5)
 
