@@ -14,7 +14,6 @@ import bpy
 
 ROOT = Path(__file__).resolve().parent.parent
 RESOLUTION = 320  # voxels, as the demo's
-STUDY_MINUTES = 3.0  # enough for a few configurations
 EXTENSION = "bl_ext.user_default.snerg_addon"
 
 
@@ -28,8 +27,7 @@ def main() -> None:
     bpy.ops.wm.save_as_mainfile(filepath=file)
     take_dataset(scene, Path(dataset))
     scene.snerg.minutes, scene.snerg.view_dependence, scene.snerg.resolution = float(minutes), "deferred", RESOLUTION
-    scene.snerg.study_minutes = STUDY_MINUTES
-    for step in ("train", "estimate", "bake", "preview", "study", "export_web"):
+    for step in ("train", "estimate", "bake", "preview", "export_web"):
         if getattr(bpy.ops.snerg, step)() != {"FINISHED"}:
             sys.exit(f"The step {step} failed.")
     bpy.ops.wm.save_mainfile()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import textwrap
 from pathlib import Path
 
@@ -45,8 +44,7 @@ class SNERG_PT_main(SidebarPanel, bpy.types.Panel):
         row.operator("snerg.open_folder", text="", icon="FOLDER_REDIRECT")
         draw_project(layout, scene)
         if report := activity.last_report(project):
-            sentence = report[0].replace(f"{project}{os.sep}", "")  # the paths of a project are long, and this is the project's panel
-            draw_sentence(layout.column(align=True), sentence, "INFO" if report[1] else "ERROR")
+            draw_sentence(layout.column(align=True), activity.within(project, report[0]), "INFO" if report[1] else "ERROR")
         if not activity.current(project):
             layout.label(text=next_step(scene), icon="FORWARD")
         draw_results(layout, scene)

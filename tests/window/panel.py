@@ -108,11 +108,17 @@ def project(window: Window) -> Any:
     return import_module("bl_ext.user_default.snerg_addon.snerg_addon.project").project_of(window.window.scene)
 
 
+def told(window: Window) -> Any:
+    """What the panel says of the task that ended last."""
+    return import_module("bl_ext.user_default.snerg_addon.snerg_addon.activity").last_report(project(window).folder)
+
+
 class Artist:
     """Clicks and keys in the sidebar, with a numbered picture of each step, and what undo and redo make of it."""
 
     def __init__(self, window: Window) -> None:
         self.window, self.pictures = window, 0
+        self.told: Any = None  # what the panel said of the task that ended last
         self.states = window.seen["states"] = {}
         system = bpy.context.preferences.system  # a software renderer draws the window a hundred times for each step
         system.viewport_aa, system.use_region_overlap = "OFF", False
@@ -136,10 +142,12 @@ class Artist:
 
     def ended(self, operator: str, name: str) -> Walk:
         """Wait until the task that was started has ended."""
-        started = yield from self.window.until(self.window.busy, 20)
-        yield from self.window.wait(2)
-        yield from self.look(f"{name}-runs")
+        started = yield from self.window.until(lambda: self.window.busy() or told(self.window) != self.told, 20)
+        if self.window.busy():
+            yield from self.window.wait(2)
+            yield from self.look(f"{name}-runs")
         ended = yield from self.window.until(lambda: not self.window.busy(), 240)
+        self.told = told(self.window)
         assert started and ended, f"{operator} started: {started}, ended: {ended}: {self.window.texts('main')}"
         yield from self.window.wait(1.5)
         yield from self.look(name)
