@@ -58,10 +58,10 @@ def draw_project(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
         draw_sentence(layout.column(align=True), f"{sentence} That is in the preferences.", "ERROR")
     if not bpy.data.filepath:
         draw_sentence(layout.column(align=True), "The project moves beside the .blend when you save the file.", "INFO")
-        for folder in saving.orphaned_projects()[:1]:
-            row = layout.row()
-            row.label(text="Project of a file never saved")
-            row.operator("snerg.adopt_project", text="Use It Here").folder = str(folder)
+        for folder in saving.orphaned_projects()[:1] if not project_of(scene).folder.is_dir() else ():
+            column = layout.box().column(align=True)
+            draw_sentence(column, "There is the project of a file that was never saved.", "INFO")
+            column.operator("snerg.adopt_project").folder = str(folder)
         return
     layout.label(text=f"Project of {Path(bpy.data.filepath).name}, {scene.name}", icon="FILE_BLEND")
     if other := adoptable_project(scene):

@@ -81,9 +81,9 @@ class Window:
         yield
 
     def type(self, text: str) -> Walk:
-        """Letters and spaces, as a keyboard gives them."""
+        """Letters, spaces and a 2, as a keyboard gives them."""
         for letter in text:
-            kind = "SPACE" if letter == " " else letter.upper()
+            kind = {" ": "SPACE", "2": "TWO"}.get(letter, letter.upper())
             self.send(kind, "PRESS", unicode=letter)
             self.send(kind, "RELEASE")
             yield

@@ -73,6 +73,8 @@ def empty_to_page(window: Window) -> Walk:
     yield from walk.run("snerg.render_dataset", "dataset")
     yield from walk.paste("snerg.minutes", "0.1")
     yield from walk.run("snerg.train", "field")
+    yield from walk.scale_twice()
+    yield from walk.undone_and_redone("scaled")
     yield from walk.open("box")
     yield from walk.click("snerg.fit_box_to_field", SIDEBAR_MARGIN)
     yield from walk.undone_and_redone("fitted")
@@ -151,6 +153,14 @@ class Artist:
         assert started and ended, f"{operator} started: {started}, ended: {ended}: {self.window.texts('main')}"
         yield from self.window.wait(1.5)
         yield from self.look(name)
+
+    def scale_twice(self) -> Walk:
+        """S, 2 and Enter over the view, where the box is selected."""
+        yield from self.window.over_view()
+        yield from self.window.press("S")
+        yield from self.window.type("2")
+        yield from self.window.press("RET")
+        yield from self.window.wait(0.5)
 
     def search(self, words: str, name: str) -> Walk:
         """F3, words, and Enter."""
