@@ -57,7 +57,7 @@ def follow(scene: bpy.types.Scene) -> bool:
         return False
     state.followed = now
     for name in (*NEXT, "preview", "study"):
-        setattr(state, name, name == (step or "preview"))
+        setattr(state, name, name == (step or "export"))
     return True
 
 
