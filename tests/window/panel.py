@@ -42,11 +42,30 @@ def steps_opened(window: Window, photos: str, trained: str) -> Walk:
     window.settings.train_background, window.settings.codec = "colour", "avif"
     window.settings.rig_distance, window.settings.train_background = 3, "colour"
     yield from each_step(window, "after")
+    yield from scaled_live(window)
     window.seen["names"] = names_of(window)
     window.settings.cameras, window.settings.over_frames = "ALL", True
     window.seen["names"] += names_of(window)
     blf.size(0, bpy.context.preferences.ui_styles[0].widget.points * bpy.context.preferences.system.ui_scale)
     window.seen["cut"] = blf.dimensions(0, "View Dependence")[0]
+
+
+def scaled_live(window: Window) -> Walk:
+    """The bake step beside the box: before, and while the box is scaled with S."""
+    for name in STEPS:
+        setattr(bpy.context.window_manager.snerg_steps, name, name == "bake")
+    window.window.view_layer.objects.active = window.settings.box
+    window.settings.box.select_set(True)
+    bpy.context.preferences.system.use_region_overlap = False  # else the box is seen through the sidebar
+    yield from window.wait(0.5)
+    window.seen["sidebar"] = [window.sidebar.x, window.sidebar.width]
+    yield from window.picture("live-before")
+    yield from window.press("S")
+    yield from window.type("2")
+    yield from window.wait(1)
+    window.shoot("live-scaled")
+    yield from window.press("ESC")
+    yield from window.wait(0.5)
 
 
 def each_step(window: Window, when: str) -> Walk:

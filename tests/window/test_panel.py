@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
@@ -27,6 +29,14 @@ def test_every_name_is_readable_at_the_sidebars_default_width(opened):
     assert opened["cut"] > room["setting"] - PADDING["setting"], "The measure finds no name too long"
     cut = [(kind, name) for kind, name, width in opened["names"] if width > room[kind] - PADDING[kind]]
     assert len(opened["names"]) > 50 and not cut, f"Blender cuts these names at the default width: {cut}"
+
+
+def test_the_estimate_follows_the_box_while_it_is_scaled(opened, blender):
+    left, width = opened["sidebar"]
+    pictures = [blender.folder("steps_opened") / f"live-{name}.png" for name in ("before", "scaled")]
+    before, scaled = (np.asarray(Image.open(path).convert("L")) for path in pictures)
+    changed = np.flatnonzero((before != scaled)[:, left : left + width - TABS].any(axis=1))
+    assert len(changed) > 5, "The estimate stays as it was while the box is scaled; see live-before.png and live-scaled.png"
 
 
 @pytest.fixture(scope="module")
