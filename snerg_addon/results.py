@@ -36,14 +36,20 @@ def results_of(project: Project) -> list[Result]:
     """What the project holds: its datasets, then the versions of field and scene, the newest first. Never raises."""
     found = []
     for path in known_datasets(project):
-        label = "Rendered here" if path == project.own_dataset else path.name
+        label = "Rendered" if path == project.own_dataset else path.name
         found.append(Result("dataset", str(path), label, dataset_figures(project, path), path == project.dataset))
     for kind in VERSIONS:
         in_use = project.in_use(kind)
         for version in reversed(project.versions(kind)):
             figures = version_figures(project, kind, version)
-            found.append(Result(kind, str(version), project.name_of(version), figures, version == in_use))
+            found.append(Result(kind, str(version), label_of(project, kind, version), figures, version == in_use))
     return found
+
+
+def label_of(project: Project, kind: str, version: Path) -> str:
+    """The name that the artist gave a version, else 'Field 001'."""
+    name = project.name_of(version)
+    return name if name != version.name else f"{kind.title()} {name}"
 
 
 def known_datasets(project: Project) -> list[Path]:
@@ -53,9 +59,10 @@ def known_datasets(project: Project) -> list[Path]:
 
 
 def dataset_figures(project: Project, path: Path) -> str:
-    """'84 + 16 views, 12.3 MB': training and test views, and the size; '' where nothing was recorded."""
+    """'100 views, 12.3 MB': views to train and to test on, and the size; '' where nothing was recorded."""
     note = project.notes().get("dataset", {}) if path == project.own_dataset else project.note_of_dataset(path)
-    views = f"{note['train']} + {note.get('test', 0)} views" if isinstance(note.get("train"), int) else ""
+    counts = [note[split] for split in ("train", "val", "test") if isinstance(note.get(split), int)]
+    views = f"{sum(counts)} views" if counts else ""
     return joined(views, megabytes(note))
 
 
@@ -118,8 +125,9 @@ class SNERG_PG_result(bpy.types.PropertyGroup):
         return str(self.shown)
 
     def _rename(self, name: str) -> None:
-        project = project_of(bpy.context.scene)
-        _do(project, lambda: project.rename(Path(self.folder), name))
+        project, version = project_of(bpy.context.scene), Path(self.folder)
+        given = "" if name == f"{self.kind.title()} {version.name}" else name
+        _do(project, lambda: project.rename(version, given))
 
     kind: StringProperty()
     folder: StringProperty()

@@ -14,7 +14,7 @@ from .layout import draw_sentence
 
 ICONS = {"dataset": "IMAGE_BACKGROUND", "field": "LIGHTPROBE_VOLUME", "scene": "OUTLINER_OB_VOLUME"}
 ROWS = 5  # that are shown at first; the list scrolls, and can be dragged longer
-FIGURES_SHARE = 0.5  # of a row's width that the name takes
+NAME_SHARE = 0.4  # of a row's width; the rest is for the figures
 
 
 class SNERG_UL_results(bpy.types.UIList):
@@ -28,7 +28,7 @@ class SNERG_UL_results(bpy.types.UIList):
         """What it is, whether it is in use, its name and its figures."""
         row = layout.row(align=True)
         row.label(text="", icon="RADIOBUT_ON" if item.in_use else "RADIOBUT_OFF")
-        names = row.split(factor=FIGURES_SHARE, align=True)
+        names = row.split(factor=NAME_SHARE, align=True)
         if item.kind in VERSIONS:
             names.prop(item, "label", text="", emboss=False, icon=ICONS[item.kind])
         else:

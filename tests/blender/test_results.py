@@ -37,11 +37,11 @@ def test_it_lists_what_is_there_with_its_figures(scene, photos):
     a_version(project, "scene", 29.5)
     size = results.megabytes(project.notes()["dataset"])
     assert listed(scene) == [
-        ("dataset", "Rendered here", f"3 + 1 views, {size}", False),
-        ("dataset", "photos", "3 + 1 views", True),
-        ("field", "002", "stopped", False),
-        ("field", "001", "30.0 dB, 0 kB", True),
-        ("scene", "001", "29.5 dB, 0 kB", True),
+        ("dataset", "Rendered", f"4 views, {size}", False),
+        ("dataset", "photos", "4 views", True),
+        ("field", "Field 002", "stopped", False),
+        ("field", "Field 001", "30.0 dB, 0 kB", True),
+        ("scene", "Scene 001", "29.5 dB, 0 kB", True),
     ]
     assert counted([one.kind for one in results.results_of(project)]) == "2 datasets, 2 fields, 1 scene"
 
@@ -60,7 +60,12 @@ def test_choosing_a_row_makes_it_the_current_one(scene, photos):
     shown.index = folders.index(str(project.own_dataset))
     assert scene.snerg.dataset == "" and project_of(scene).dataset == project.own_dataset
     shown.items[folders.index(str(first))].label = "Before the sofa"
-    assert project.name_of(first) == "Before the sofa" and shown.items[folders.index(str(first))].label == "Before the sofa"
+    shown.items[folders.index(str(second))].label = "Field 002"
+    assert (
+        project.name_of(second) == "002"
+        and project.name_of(first) == "Before the sofa"
+        and shown.items[folders.index(str(first))].label == "Before the sofa"
+    )
 
 
 def test_a_row_whose_folder_went_away_gives_a_sentence(scene, photos):
@@ -88,7 +93,7 @@ def test_a_renamed_version_is_listed_under_its_new_name_and_said(scene):
     assert results.lost(project, scene) == []
     renamed = second.rename(second.with_name("sofa"))
     assert results.lost(project, scene) == ["The field 002 was renamed or removed; sofa is used instead."]
-    assert [one.label for one in results.results_of(project)] == ["sofa", "001"]
+    assert [one.label for one in results.results_of(project)] == ["Field sofa", "Field 001"]
     results.choose(scene, "field", renamed)
     assert results.lost(project, scene) == [] and project.field == renamed
     assert a_version(project, "field", 32.0).name == "002"

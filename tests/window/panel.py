@@ -41,6 +41,7 @@ def steps_opened(window: Window, photos: str, trained: str) -> Walk:
     window.operator("bake")
     window.settings.train_background, window.settings.codec = "colour", "avif"
     window.settings.rig_distance, window.settings.train_background = 3, "colour"
+    yield from window.wait(1.5)  # the step that comes next opens itself
     yield from each_step(window, "after")
     yield from scaled_live(window)
     window.seen["names"] = names_of(window)
