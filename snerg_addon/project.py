@@ -11,6 +11,7 @@ import os
 import re
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -155,25 +156,25 @@ class Project:
 
     def note_dataset(self, path: Path, facts: dict[str, Any]) -> None:
         """Record that a dataset outside the project was imported or trained on. Raises SnergError when the folder cannot be written."""
-        if path != self.own_dataset:
-            self.note(f"dataset {self._relative(path)}", {**self.note_of_dataset(path), **facts})
+        if path == self.own_dataset:
+            return
+        known = self.datasets().get(path, {})
+        with suppress(ValueError):  # on another drive
+            known = {**known, "relative": Path(os.path.relpath(path, self.folder)).as_posix()}
+        self.note(f"dataset {path.as_posix()}", {**known, **facts})
 
-    def note_of_dataset(self, path: Path) -> dict[str, Any]:
-        """The facts about a dataset outside the project; {} where there are none. Never raises."""
-        found = cached_json(self._notes).get(f"dataset {self._relative(path)}")
-        return found if isinstance(found, dict) else {}
+    def datasets(self) -> dict[Path, dict[str, Any]]:
+        """The facts about each dataset outside the project that was recorded, the oldest first. Never raises.
 
-    def datasets(self) -> list[Path]:
-        """The datasets outside the project that were recorded, the oldest first."""
-        keys = [key.removeprefix("dataset ") for key in cached_json(self._notes) if key.startswith("dataset ")]
-        return [Path(os.path.normpath(self.folder / key)) for key in keys]
-
-    def _relative(self, path: Path) -> str:
-        """A path from the project's folder, so that both can be moved together; the path itself on another drive."""
-        try:
-            return Path(os.path.relpath(path, self.folder)).as_posix()
-        except ValueError:
-            return path.as_posix()
+        One that is not at its path any more is at the same place relative to the project: both were moved together.
+        """
+        found = {}
+        for key, facts in cached_json(self._notes).items():
+            if key.startswith("dataset ") and isinstance(facts, dict):
+                path = Path(key.removeprefix("dataset "))
+                moved = Path(os.path.normpath(self.folder / str(facts.get("relative", ""))))
+                found[path if path.exists() else moved] = facts
+        return found
 
     def note_settings(self, version: Path, arguments: list[str]) -> None:
         """Record the command-line options that a version is made with. Raises SnergError when the folder cannot be written."""

@@ -60,7 +60,7 @@ def known_datasets(project: Project) -> list[Path]:
 
 def dataset_figures(project: Project, path: Path) -> str:
     """'100 views, 12.3 MB': views to train and to test on, and the size; '' where nothing was recorded."""
-    note = project.notes().get("dataset", {}) if path == project.own_dataset else project.note_of_dataset(path)
+    note = project.notes().get("dataset", {}) if path == project.own_dataset else project.datasets().get(path, {})
     counts = [note[split] for split in ("train", "val", "test") if isinstance(note.get(split), int)]
     views = f"{sum(counts)} views" if counts else ""
     return joined(views, megabytes(note))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -117,3 +118,16 @@ def test_a_project_folder_that_went_away_is_said(scene, tmp_path):
     (tmp_path / "project").rename(tmp_path / "moved")
     sentence = f"There is no folder {scene.snerg.folder}. Was it renamed? Choose it above, or a new project starts there."
     assert results.lost(project_of(scene), scene) == [sentence]
+
+
+def test_datasets_are_found_where_the_project_or_both_were_moved(scene, tmp_path, photos):
+    project = project_of(scene)
+    project.note_dataset(photos, {"train": 3, "test": 1})
+    (tmp_path / "art").mkdir()
+    alone = replace(project, folder=project.folder.rename(tmp_path / "art" / "project"))
+    assert list(alone.datasets()) == [photos] and alone.datasets()[photos]["train"] == 3
+    photos = photos.rename(tmp_path / "art" / "photos")
+    alone.note_dataset(photos, {"train": 4})
+    art = (tmp_path / "art").rename(tmp_path / "elsewhere")
+    both = replace(project, folder=art / "project").datasets()
+    assert both[art / "photos"]["train"] == 4
