@@ -17,6 +17,7 @@ from ..core.io.files import read_edited_json
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
+from ..snerg_addon.dataset_notes import note_dataset
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project
 from .import_operator import ImportOperator
@@ -49,9 +50,8 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         bare: dict[str, tuple[Camera, ...]] = result["bare"]
         add_dataset(parts, bare, scene, result["path"].stem)
         scene.snerg.dataset = blend_path(result["path"])
-        counts = {part.split: len(part.views) for part in parts}
-        project.note_dataset(result["path"], counts)
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
+        note_dataset(project, result["path"], {part.split: len(part.views) for part in parts})
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
         return " ".join([f"Imported {views} from {result['path']}.", *parts[0].remarks(), *alone, *limitations(every)])

@@ -7,11 +7,9 @@ dataset, studies, exports and jobs. owner.py says which folder belongs to a scen
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -153,28 +151,6 @@ class Project:
         names = cached_json(self.folder / OWNER).get("names")
         kept = dict(names) if isinstance(names, Mapping) else {}
         self._write_owner(names={**kept, self.key(version): name.strip()})
-
-    def note_dataset(self, path: Path, facts: dict[str, Any]) -> None:
-        """Record that a dataset outside the project was imported or trained on. Raises SnergError when the folder cannot be written."""
-        if path == self.own_dataset:
-            return
-        known = self.datasets().get(path, {})
-        with suppress(ValueError):  # on another drive
-            known = {**known, "relative": Path(os.path.relpath(path, self.folder)).as_posix()}
-        self.note(f"dataset {path.as_posix()}", {**known, **facts})
-
-    def datasets(self) -> dict[Path, dict[str, Any]]:
-        """The facts about each dataset outside the project that was recorded, the oldest first. Never raises.
-
-        One that is not at its path any more is at the same place relative to the project: both were moved together.
-        """
-        found = {}
-        for key, facts in cached_json(self._notes).items():
-            if key.startswith("dataset ") and isinstance(facts, dict):
-                path = Path(key.removeprefix("dataset "))
-                moved = Path(os.path.normpath(self.folder / str(facts.get("relative", ""))))
-                found[path if path.exists() else moved] = facts
-        return found
 
     def note_settings(self, version: Path, arguments: list[str]) -> None:
         """Record the command-line options that a version is made with. Raises SnergError when the folder cannot be written."""

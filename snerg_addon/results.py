@@ -17,18 +17,18 @@ from bpy.props import BoolProperty, CollectionProperty, IntProperty, StringPrope
 from ..core.artifact import is_dataset
 from ..core.errors import SnergError
 from . import activity
+from .dataset_notes import noted_datasets
 from .owner import absolute_path, blend_path
 from .project import VERSIONS, Project, project_of
 
 
 @dataclass(frozen=True)
 class Result:
-    """kind: 'dataset', 'field' or 'scene'. folder: its path. label: its name. figures: quality and size. in_use: whether it is current."""
+    """kind: 'dataset', 'field' or 'scene'. folder: its path. label: its name. in_use: whether it is current."""
 
     kind: str
     folder: str
     label: str
-    figures: str
     in_use: bool
 
 
@@ -37,12 +37,11 @@ def results_of(project: Project) -> list[Result]:
     found = []
     for path in known_datasets(project):
         label = "Rendered" if path == project.own_dataset else path.name
-        found.append(Result("dataset", str(path), label, dataset_figures(project, path), path == project.dataset))
+        found.append(Result("dataset", str(path), label, path == project.dataset))
     for kind in VERSIONS:
         in_use = project.in_use(kind)
         for version in reversed(project.versions(kind)):
-            figures = version_figures(project, kind, version)
-            found.append(Result(kind, str(version), label_of(project, kind, version), figures, version == in_use))
+            found.append(Result(kind, str(version), label_of(project, kind, version), version == in_use))
     return found
 
 
@@ -54,22 +53,8 @@ def label_of(project: Project, kind: str, version: Path) -> str:
 
 def known_datasets(project: Project) -> list[Path]:
     """The project's own dataset, those that were imported or trained on, and the current one; of these, the ones that are there."""
-    paths = dict.fromkeys([project.own_dataset, *project.datasets(), project.dataset])
+    paths = dict.fromkeys([project.own_dataset, *noted_datasets(project), project.dataset])
     return [path for path in paths if is_dataset(path)]
-
-
-def dataset_figures(project: Project, path: Path) -> str:
-    """'100 views, 12.3 MB': views to train and to test on, and the size; '' where nothing was recorded."""
-    note = project.notes().get("dataset", {}) if path == project.own_dataset else project.datasets().get(path, {})
-    counts = [note[split] for split in ("train", "val", "test") if isinstance(note.get(split), int)]
-    views = f"{sum(counts)} views" if counts else ""
-    return joined(views, megabytes(note))
-
-
-def version_figures(project: Project, kind: str, version: Path) -> str:
-    """'31.2 dB, 12.3 MB'; 'stopped' for a training that did not end."""
-    note = project.note_of(version)
-    return joined(decibels(note), megabytes(note)) if note else "stopped" if kind == "field" else ""
 
 
 def choose(scene: bpy.types.Scene, kind: str, folder: Path) -> None:
@@ -99,25 +84,6 @@ def lost(project: Project, scene: bpy.types.Scene) -> list[str]:
     return sentences
 
 
-def megabytes(note: dict[str, Any]) -> str:
-    """'12.3 MB' or '45 kB'; '' where the size is not known."""
-    size = note.get("bytes")
-    if not isinstance(size, int | float):
-        return ""
-    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.0f} kB"
-
-
-def decibels(note: dict[str, Any]) -> str:
-    """'31.2 dB'; '' where the quality is not known."""
-    value = note.get("psnr")
-    return f"{value:.1f} dB" if isinstance(value, int | float) else ""
-
-
-def joined(*parts: str) -> str:
-    """Those of the parts that are not empty, separated by commas."""
-    return ", ".join(part for part in parts if part)
-
-
 class SNERG_PG_result(bpy.types.PropertyGroup):
     """A dataset, a field or a scene of a project"""
 
@@ -133,7 +99,6 @@ class SNERG_PG_result(bpy.types.PropertyGroup):
     folder: StringProperty()
     shown: StringProperty()
     label: StringProperty(name="Name", description="Double-click to rename. Empty: its number", get=_label, set=_rename)
-    figures: StringProperty()
     in_use: BoolProperty()
 
 
@@ -178,7 +143,7 @@ def refresh() -> bool:
 
 
 def _values(item: Any) -> tuple[Any, ...]:
-    return item.kind, item.folder, item.shown, item.figures, item.in_use
+    return item.kind, item.folder, item.shown, item.in_use
 
 
 def _fill(shown: Any, found: list[Result]) -> None:
@@ -189,7 +154,7 @@ def _fill(shown: Any, found: list[Result]) -> None:
     for result in found:
         item = shown.items.add()
         item.name, item.kind, item.folder = f"{result.kind} {result.label}", result.kind, result.folder
-        item.shown, item.figures, item.in_use = result.label, result.figures, result.in_use
+        item.shown, item.in_use = result.label, result.in_use
     used = [index for index, result in enumerate(found) if result.in_use]
     same = [index for index in used if found[index].folder == folder] or [index for index in used if found[index].kind == kind]
     shown.active = (same or used[-1:] or [-1])[0]

@@ -9,8 +9,8 @@ import bpy
 
 from .. import estimate_panel
 from ..project import project_of
-from ..results import decibels, joined, megabytes
-from .layout import LINE_WIDTH, Step, draw_box, made_with
+from .layout import LINE_WIDTH, Step, decibels, draw_box, joined, megabytes
+from .versions import made_with
 
 
 class BakeStep(Step):

@@ -11,8 +11,7 @@ from .. import activity
 from ..bridge import box_of, resolution
 from ..capture import views_rendered
 from ..project import Project, no_dataset, project_of
-from ..results import joined, megabytes
-from .layout import LINE_WIDTH, Step, draw_box
+from .layout import LINE_WIDTH, Step, draw_box, joined, megabytes
 
 
 class DatasetStep(Step):

@@ -8,8 +8,7 @@ import bpy
 
 from ..project import project_of
 from ..properties import LOSSY
-from ..results import joined, megabytes
-from .layout import Step, draw_box
+from .layout import Step, draw_box, joined, megabytes
 
 
 class ExportStep(Step):

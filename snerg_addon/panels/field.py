@@ -13,8 +13,8 @@ from .. import activity, pictures, training_python
 from ..curve import Curve, curve_of
 from ..presets import PRESETS, is_set, takes
 from ..project import Project, project_of
-from ..results import decibels, joined, megabytes
-from .layout import LINE_WIDTH, Step, draw_box, draw_sentence, made_with
+from .layout import LINE_WIDTH, Step, decibels, draw_box, draw_sentence, joined, megabytes
+from .versions import made_with
 
 CURVE_SCALE = 8.0  # of the curve's picture, in rows of the panel
 

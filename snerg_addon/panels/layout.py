@@ -7,8 +7,7 @@ from typing import Any, ClassVar
 
 import bpy
 
-from ..project import Project, project_of
-from ..results import joined
+from ..project import project_of
 
 LINE_WIDTH = 38  # characters of a line in a box that fit into the sidebar at its default width
 ICON_LINE_WIDTH = 34  # of a line with an icon
@@ -77,7 +76,18 @@ def draw_sentence(layout: bpy.types.UILayout, sentence: str, icon: str) -> None:
         layout.label(text=line, icon="BLANK1" if index else icon)
 
 
-def made_with(project: Project, step: str) -> list[str]:
-    """Lines that say when the version in use was made, and with which settings."""
-    version = project.in_use(step)
-    return textwrap.wrap(joined(str(project.note_of(version).get("when", "")), project.settings_of(version)), LINE_WIDTH)
+def megabytes(note: dict[str, Any]) -> str:
+    """'12.3 MB'; '' where the size is not known."""
+    size = note.get("bytes")
+    return f"{size / 1e6:.1f} MB" if isinstance(size, int | float) else ""
+
+
+def decibels(note: dict[str, Any]) -> str:
+    """'31.2 dB'; '' where the quality is not known."""
+    value = note.get("psnr")
+    return f"{value:.1f} dB" if isinstance(value, int | float) else ""
+
+
+def joined(*parts: str) -> str:
+    """Those of the parts that are not empty, separated by commas."""
+    return ", ".join(part for part in parts if part)

@@ -9,8 +9,9 @@ from typing import Any
 import bpy
 
 from .. import results
-from ..project import VERSIONS, project_of
-from .layout import draw_sentence
+from ..dataset_notes import noted_datasets
+from ..project import VERSIONS, Project, project_of
+from .layout import decibels, draw_sentence, joined, megabytes
 
 ICONS = {"dataset": "IMAGE_BACKGROUND", "field": "LIGHTPROBE_VOLUME", "scene": "OUTLINER_OB_VOLUME"}
 ROWS = 5  # that are shown at first; the list scrolls, and can be dragged longer
@@ -33,7 +34,21 @@ class SNERG_UL_results(bpy.types.UIList):
             names.prop(item, "label", text="", emboss=False, icon=ICONS[item.kind])
         else:
             names.label(text=item.shown, icon=ICONS[item.kind])
-        names.label(text=item.figures)
+        names.label(text=figures_of(project_of(bpy.context.scene), item))
+
+
+def figures_of(project: Project, item: Any) -> str:
+    """'100 views, 12.3 MB' of a dataset; '31.2 dB, 12.3 MB' of a field or scene, 'stopped' for a training that did not end.
+
+    item: has the kind and the folder. '' where nothing was recorded.
+    """
+    folder = Path(item.folder)
+    if item.kind in VERSIONS:
+        note = project.note_of(folder)
+        return joined(decibels(note), megabytes(note)) if note else "stopped" if item.kind == "field" else ""
+    note = project.notes().get("dataset", {}) if folder == project.own_dataset else noted_datasets(project).get(folder, {})
+    counts = [note[split] for split in ("train", "val", "test") if isinstance(note.get(split), int)]
+    return joined(f"{sum(counts)} views" if counts else "", megabytes(note))
 
 
 def draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:

@@ -13,7 +13,9 @@ from stage import a_version
 from scenes import make_dataset
 from snerg.core.errors import SnergError
 from snerg.snerg_addon import activity, results
-from snerg.snerg_addon.panels.results import counted
+from snerg.snerg_addon.dataset_notes import note_dataset, noted_datasets
+from snerg.snerg_addon.panels.layout import megabytes
+from snerg.snerg_addon.panels.results import counted, figures_of
 from snerg.snerg_addon.project import project_of, remember
 
 
@@ -23,7 +25,7 @@ def photos(tmp_path) -> Path:
 
 
 def listed(scene) -> list[tuple[str, str, str, bool]]:
-    return [(one.kind, one.label, one.figures, one.in_use) for one in results.results_of(project_of(scene))]
+    return [(one.kind, one.label, figures_of(project_of(scene), one), one.in_use) for one in results.results_of(project_of(scene))]
 
 
 def test_it_lists_what_is_there_with_its_figures(scene, photos):
@@ -36,13 +38,14 @@ def test_it_lists_what_is_there_with_its_figures(scene, photos):
     a_version(project, "field", 30.0)
     a_version(project, "field")
     a_version(project, "scene", 29.5)
-    size = results.megabytes(project.notes()["dataset"])
+    size = megabytes(project.notes()["dataset"])
+    small = megabytes({"bytes": 4})
     assert listed(scene) == [
         ("dataset", "Rendered", f"4 views, {size}", False),
         ("dataset", "photos", "4 views", True),
         ("field", "Field 002", "stopped", False),
-        ("field", "Field 001", "30.0 dB, 0 kB", True),
-        ("scene", "Scene 001", "29.5 dB, 0 kB", True),
+        ("field", "Field 001", f"30.0 dB, {small}", True),
+        ("scene", "Scene 001", f"29.5 dB, {small}", True),
     ]
     assert counted([one.kind for one in results.results_of(project)]) == "2 datasets, 2 fields, 1 scene"
 
@@ -50,7 +53,7 @@ def test_it_lists_what_is_there_with_its_figures(scene, photos):
 def test_choosing_a_row_makes_it_the_current_one(scene, photos):
     project = project_of(scene)
     make_dataset(project.own_dataset, train=3, test=1, size=8)
-    project.note_dataset(photos, {})
+    note_dataset(project, photos, {})
     first, second = a_version(project, "field", 30.0), a_version(project, "field", 31.0)
     assert results.refresh() and not results.refresh()
     shown = results.shown_results(scene)
@@ -71,7 +74,7 @@ def test_choosing_a_row_makes_it_the_current_one(scene, photos):
 
 def test_a_row_whose_folder_went_away_gives_a_sentence(scene, photos):
     project = project_of(scene)
-    project.note_dataset(photos, {})
+    note_dataset(project, photos, {})
     first, _second = a_version(project, "field", 30.0), a_version(project, "field", 31.0)
     results.refresh()
     shown = results.shown_results(scene)
@@ -122,12 +125,12 @@ def test_a_project_folder_that_went_away_is_said(scene, tmp_path):
 
 def test_datasets_are_found_where_the_project_or_both_were_moved(scene, tmp_path, photos):
     project = project_of(scene)
-    project.note_dataset(photos, {"train": 3, "test": 1})
+    note_dataset(project, photos, {"train": 3, "test": 1})
     (tmp_path / "art").mkdir()
     alone = replace(project, folder=project.folder.rename(tmp_path / "art" / "project"))
-    assert list(alone.datasets()) == [photos] and alone.datasets()[photos]["train"] == 3
+    assert list(noted_datasets(alone)) == [photos] and noted_datasets(alone)[photos]["train"] == 3
     photos = photos.rename(tmp_path / "art" / "photos")
-    alone.note_dataset(photos, {"train": 4})
+    note_dataset(alone, photos, {"train": 4})
     art = (tmp_path / "art").rename(tmp_path / "elsewhere")
-    both = replace(project, folder=art / "project").datasets()
+    both = noted_datasets(replace(project, folder=art / "project"))
     assert both[art / "photos"]["train"] == 4
