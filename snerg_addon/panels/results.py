@@ -15,7 +15,7 @@ from .layout import decibels, draw_sentence, joined, megabytes
 
 ICONS = {"dataset": "IMAGE_BACKGROUND", "field": "LIGHTPROBE_VOLUME", "scene": "OUTLINER_OB_VOLUME"}
 ROWS = 5  # that are shown at first; the list scrolls, and can be dragged longer
-NAME_SHARE = 0.4  # of a row's width; the rest is for the figures
+NAME_SHARE = 0.45  # of a row's width; the rest is for the figures
 
 
 class SNERG_UL_results(bpy.types.UIList):
@@ -62,12 +62,11 @@ def draw_results(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     header.label(text=counted([item.kind for item in shown.items]), icon="ASSET_MANAGER")
     if body is None:
         return
-    row = body.row()
-    row.template_list(SNERG_UL_results.bl_idname, "", shown, "items", shown, "index", rows=min(ROWS, max(2, len(shown.items))))
+    body.template_list(SNERG_UL_results.bl_idname, "", shown, "items", shown, "index", rows=min(ROWS, max(2, len(shown.items))))
     chosen = shown.items[shown.active] if 0 <= shown.active < len(shown.items) else None
-    delete = row.column(align=True)
+    delete = header.row()  # not beside the list, whose rows need its whole width
     delete.enabled = chosen is not None and chosen.kind in VERSIONS
-    button = delete.operator("snerg.delete_version", text="", icon="TRASH")
+    button = delete.operator("snerg.delete_version", text="", icon="TRASH", emboss=False)
     if chosen is not None:
         button.step, button.version = chosen.kind, Path(chosen.folder).name
 
