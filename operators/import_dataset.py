@@ -18,6 +18,7 @@ from ..core.io.images import quarter_turn
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture
+from ..snerg_addon.dataset_notes import note_dataset
 from ..snerg_addon.owner import blend_path
 from ..snerg_addon.project import Project, project_of
 from .import_operator import ImportOperator
@@ -54,6 +55,7 @@ class SNERG_OT_import_dataset(ImportOperator, bpy.types.Operator):
         said = list(dict.fromkeys(remark for part in parts for remark in part.remarks()))
         project.note_remarks(project_of(scene).dataset, said)
         views = " and ".join(f"{len(part.views)} {TITLES.get(part.split, part.split).lower()}" for part in parts)
+        note_dataset(project, result["path"], {part.split: len(part.views) for part in parts})
         alone = [f"{TITLES.get(split, split)} without pictures: {len(cameras)} cameras." for split, cameras in bare.items() if cameras]
         every = [view.camera for part in parts for view in part.views]
         unseen = unseen_images([view.image for part in parts for view in part.views])

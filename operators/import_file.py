@@ -3,13 +3,17 @@
 # mypy: disable-error-code="valid-type"
 # Blender reads the annotation of `filepath` as a value, hence no postponed evaluation here.
 
+import re
 from pathlib import Path
 
 import bpy
 
-from ..core.artifact import FIELDS, SCENES, kind_of
+from ..core.artifact import FIELDS, SCENES, is_dataset, kind_of
 from ..core.errors import SnergError
 from ..snerg_addon.properties import RELATIVE_PATHS
+from .task_operator import hand_over
+
+SPLIT = re.compile(r"transforms_(train|val|test)\.json")
 
 
 class SNERG_OT_import_file(bpy.types.Operator):
@@ -38,11 +42,16 @@ class SNERG_OT_import_file(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         how = "EXEC_DEFAULT" if bpy.app.background or context.window is None else "INVOKE_DEFAULT"
-        return set(getattr(bpy.ops.snerg, name)(how, filepath=str(path)))
+        return hand_over(self, name, how, filepath=str(path))
 
 
 def importer_of(path: Path) -> tuple[str, Path]:
-    """(the operator that imports a path, the path for it): the file itself, else the folder that it lies in. Raises SnergError."""
+    """(the operator that imports a path, the path for it): the file itself, else the folder that it lies in. Raises SnergError.
+
+    A file that holds one split of a dataset stands for its folder: no folder can be dropped.
+    """
+    if SPLIT.fullmatch(path.name) and is_dataset(path.parent):
+        return "import_dataset", path.parent
     try:
         kind, found = kind_of(path), path
     except SnergError:

@@ -14,7 +14,7 @@ from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import RELATIVE_PATHS
-from .task_operator import TaskOperator
+from .task_operator import TaskOperator, hand_over
 
 
 class ImportOperator(TaskOperator):
@@ -49,8 +49,7 @@ class ImportOperator(TaskOperator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run and wait. After the file browser: invoke the operator again with the path, so that the window stays free."""
         if getattr(self, "_from_browser", False):
-            operator = getattr(bpy.ops.snerg, f"import_{self.key}")
-            return set(operator("INVOKE_DEFAULT", filepath=self.filepath))
+            return hand_over(self, f"import_{self.key}", "INVOKE_DEFAULT", filepath=self.filepath)  # type: ignore[arg-type]
         return super().execute(context)
 
     def start(self, context: bpy.types.Context, project: Project) -> Task:

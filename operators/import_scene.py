@@ -25,6 +25,7 @@ class SNERG_OT_import_scene(ImportOperator, bpy.types.Operator):
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version, put it in use, and show it."""
-        before, sentence = project.scene, super().finish(scene, project, result)
+        before = project.scene
+        sentence = ImportOperator.finish(self, scene, project, result)  # by its name: watch.Finisher is no instance
         show_scene(scene, project, project.version_made(self.key, result["to"]), before)
         return sentence

@@ -90,6 +90,15 @@ class TaskOperator:
         return {"CANCELLED"}
 
 
+def hand_over(operator: bpy.types.Operator, name: str, how: str, **keywords: Any) -> set[str]:
+    """Let another operator of the add-on do the work, and report its error as this one's: Blender makes an exception of it."""
+    try:
+        return set(getattr(bpy.ops.snerg, name)(how, **keywords))
+    except RuntimeError as error:
+        operator.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        return {"CANCELLED"}
+
+
 def remember_for_undo(label: str) -> None:
     """Push an undo step with what a task made."""
     windows = bpy.context.window_manager.windows

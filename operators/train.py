@@ -9,6 +9,7 @@ import bpy
 
 from ..core.jobs.task import Task
 from ..snerg_addon.curve import curve_of
+from ..snerg_addon.dataset_notes import note_dataset
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.training_python import start_training
 from .task_operator import TaskOperator
@@ -29,6 +30,7 @@ class SNERG_OT_train(TaskOperator, bpy.types.Operator):
         out = unfinished(scene, project) or project.new_version("field")
         arguments = training_arguments(scene, project, out)
         project.note("training", {"arguments": training_arguments(scene, project), "out": project.key(out)})
+        note_dataset(project, project.dataset, {})
         project.note_settings(out, arguments[arguments.index("--preset") :])
         shown = settings.show_training and not bpy.app.background
         return start_training([*arguments, "--preview"] if shown else arguments)

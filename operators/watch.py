@@ -16,13 +16,16 @@ import bpy
 from ..core.errors import SnergError
 from ..core.jobs import folder as folders
 from ..core.jobs.runner import Job
-from ..snerg_addon import activity, flamenco, saving, steps, training_object, training_python
+from ..snerg_addon import activity, flamenco, results, saving, steps, training_object, training_python
 from ..snerg_addon.activity import Activity
 from ..snerg_addon.project import project_of
 from .task_operator import TaskOperator, redraw, remember_for_undo
 
 TICK_SECONDS = 0.2  # between two calls of the timer
+STATUS_BAR_WIDTH = 6  # of a task's bar in the status bar, in widths of a square button
+STATUS_CHARACTERS = 120  # of the sentence there about the task that has ended
 IDLE_SECONDS = 1.0  # between two calls while no task runs
+_told: tuple[str, bool] | None = None  # what the status bar tells of a task that has ended
 WHOLE_FILE = {"OBJECT", "POSE"}  # the modes in which an undo step holds the whole file
 _stale = False  # whether something changed that is not drawn yet
 
@@ -31,9 +34,10 @@ def tick() -> float:
     """The timer's function. Returns the seconds until its next call."""
     global _stale
     try:
-        _stale = any([training_python.poll(), flamenco.poll()]) or _stale or bool(activity.current())
+        _stale = any([training_python.poll(), flamenco.poll()]) or _stale or bool(activity.current()) or report_changed()
         saving.move_saved_projects()
         find()
+        _stale = results.refresh() or _stale
         if windows := bpy.context.window_manager.windows:
             _stale = steps.follow(windows[0].scene) or _stale
         for running in activity.current():
@@ -44,6 +48,13 @@ def tick() -> float:
     except Exception:  # Blender never calls a timer again that raised, and no task would end any more
         traceback.print_exc()
     return TICK_SECONDS if activity.current() else IDLE_SECONDS
+
+
+def report_changed() -> bool:
+    """Whether the status bar tells of another task that has ended, or of none any more, since the last call."""
+    global _told
+    before, _told = _told, activity.recent_report()
+    return before != _told
 
 
 def find() -> None:
@@ -149,9 +160,15 @@ def cannot_undo_now() -> str:
 
 
 def draw_status(header: bpy.types.Header, _context: bpy.types.Context) -> None:
-    """Draw each activity at the end of the status bar, in every window and workspace."""
+    """Draw each activity with its bar at the end of the status bar, in every window and workspace; or how the last one has ended."""
     for running in activity.current():
-        header.layout.label(text=f"SNeRG: {running.label}, {running.task.fraction:.0%}")
+        row = header.layout.row(align=True)
+        row.label(text=f"SNeRG: {running.label}", icon="PAUSE" if running.task.state == "waiting" else "SORTTIME")
+        bar = row.row(align=True)
+        bar.ui_units_x = STATUS_BAR_WIDTH
+        bar.progress(factor=running.task.fraction, text=f"{running.task.fraction:.0%}")
+    if report := activity.recent_report():
+        header.layout.label(text=f"SNeRG: {report[0][:STATUS_CHARACTERS]}", icon="CHECKMARK" if report[1] else "ERROR")
 
 
 def register() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +48,9 @@ class Activity:
 
 
 _activities: list[Activity] = []
+RECENT_SECONDS = 20.0  # for which the status bar tells how a task has ended
 _reports: dict[Path, tuple[str, bool]] = {}
+_last: tuple[float, Path] | None = None  # when the last report came, and of which project
 
 
 def current(project: Path | None = None) -> list[Activity]:
@@ -68,12 +72,27 @@ def end(activity: Activity) -> None:
 
 def report(project: Path, sentence: str, good: bool) -> None:
     """Set the sentence that the panel shows about the last task of a project. good: whether the task succeeded."""
+    global _last
     _reports[project] = (sentence, good)
+    _last = time.monotonic(), project
 
 
 def last_report(project: Path) -> tuple[str, bool] | None:
     """(sentence, whether the task succeeded) of a project's last task; None where none has ended since Blender was started."""
     return _reports.get(project)
+
+
+def recent_report() -> tuple[str, bool] | None:
+    """(sentence, whether the task succeeded) of the task that has just ended; None where none has, or another runs already."""
+    if _last is None or time.monotonic() - _last[0] > RECENT_SECONDS or _activities:
+        return None
+    report = _reports.get(_last[1])
+    return None if report is None else (within(_last[1], report[0]), report[1])
+
+
+def within(project: Path, sentence: str) -> str:
+    """A sentence in which the paths of the project's files begin in its folder: that folder's own path is long."""
+    return sentence.replace(f"{project}{os.sep}", "")
 
 
 def stop() -> None:

@@ -1,7 +1,7 @@
 """Which folder is a scene's project, and which scene owns a folder.
 
 - A project belongs to one scene of one .blend file. Its `project.json` holds both names, and an id that the scene stores too.
-- The projects of a saved file lie beside it, in `NAME.snerg/SCENE`, unless the artist chose another folder.
+- The projects of a saved file lie beside it, in `NAME.snerg/SCENE`, unless the artist chose another folder or pattern.
 - The projects of a file that was never saved lie in Blender's folder for data files. They move when the file is saved.
 - After Save As, the project belongs to the new file, with which the artist continues. A file made by Save Copy, a file copied outside
   Blender and a copied scene get projects of their own; the panel names the original project and offers to use it.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import errno
 import os
-import re
 import shutil
 import uuid
 from pathlib import Path
@@ -22,10 +21,11 @@ import bpy
 from ..core.errors import SnergError
 from ..core.io.files import cannot_write, json_bytes, read_json, write_bytes
 from ..core.progress import Progress, silent
+from .folder_pattern import folder_of_pattern, safe_name
+from .preferences import project_pattern
 
 OWNER = "project.json"
 OLD_FOLDER = "//snerg"  # where version 0.1 put every project, without a project.json
-MAX_NAME = 60  # characters of a scene's name in the name of its folder: paths are limited on Windows
 
 _cache: dict[Path, tuple[tuple[int, int], dict[str, Any]]] = {}
 
@@ -78,13 +78,17 @@ def unsaved_root() -> Path:
 
 
 def automatic_folder(scene: bpy.types.Scene, blend: str = "", empty: bool = False) -> Path:
-    """`NAME.snerg/SCENE` beside the .blend file, with a number appended where another scene owns that folder.
+    """The folder of the preferences' pattern, with a number appended where another scene owns that folder.
 
-    blend: the file's path, by default the open file's. empty: whether the folder must be empty or absent, so that a project can move there.
+    A project that is where the default pattern puts it keeps its place. blend: the file's path, by default the open file's. empty: whether
+    the folder must be empty or absent, so that a project can move there.
     """
     linked = scene.path_resolve("library")
     file = Path(blend or (bpy.path.abspath(linked.filepath) if linked else bpy.data.filepath)).absolute()
-    base = file.with_name(f"{file.stem}.snerg") / (safe_name(scene.name)[:MAX_NAME] or "Scene")
+    usual = folder_of_pattern("", file, scene.name)
+    if not empty and (usual / OWNER).is_file() and not other_owner(usual, scene, str(file)):
+        return usual
+    base = folder_of_pattern(project_pattern(), file, scene.name)
     folder, number = base, 2
     while other_owner(folder, scene, str(file)) or (empty and holds_files(folder)):
         folder, number = base.with_name(f"{base.name}-{number}"), number + 1
@@ -94,11 +98,6 @@ def automatic_folder(scene: bpy.types.Scene, blend: str = "", empty: bool = Fals
 def holds_files(folder: Path) -> bool:
     """Whether the folder exists and is not empty."""
     return folder.is_dir() and any(folder.iterdir())
-
-
-def safe_name(name: str) -> str:
-    """A data-block's name without the characters that a folder's name may not have."""
-    return re.sub(r"[^\w.-]+", "_", name).strip("._ ")
 
 
 def other_owner(folder: Path, scene: bpy.types.Scene, blend: str = "") -> str:

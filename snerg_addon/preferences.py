@@ -22,6 +22,11 @@ def training_python() -> str:
     return str(bpy.path.abspath(path)) if path else ""
 
 
+def project_pattern() -> str:
+    """Where new projects go; empty for the default (see folder_pattern.py)."""
+    return str(_chosen("project_pattern", "")).strip()
+
+
 def flamenco_url() -> str:
     """The URL of the Flamenco Manager; empty where jobs are sent to none."""
     return str(_chosen("flamenco_url", FLAMENCO_URL)).strip()

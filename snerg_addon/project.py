@@ -93,20 +93,29 @@ class Project:
         """The versions of 'field' or 'scene', the oldest first. Version 0.1 had only one, in the folder `field` or `scene`."""
         name, mark = VERSIONS[step]
         try:
-            numbered = sorted(path for path in (self.folder / name).iterdir() if path.name.isdigit())
+            named = sorted(path for path in (self.folder / name).iterdir() if not path.name.startswith("."))  # what is being written
         except OSError:
-            numbered = []
-        return [path for path in (self.folder / step, *numbered) if (path / mark).is_file()]
+            named = []
+        return [path for path in (self.folder / step, *named) if (path / mark).is_file()]
 
     def in_use(self, step: str) -> Path:
         """The version in use: chosen by the artist, or made last; the newest where that was deleted. It may not exist yet."""
         there = self.versions(step)
-        chosen = self.folder / str(self._used().get(step, ""))
+        chosen = self.chosen(step)
         return chosen if chosen in there else there[-1] if there else self.folder / step
+
+    def chosen(self, step: str) -> Path | None:
+        """The version of 'field' or 'scene' that was chosen or made last, whether it is still there or not; None where none was."""
+        used = self._used().get(step)
+        return self.folder / str(used) if used else None
 
     def use(self, step: str, version: Path) -> None:
         """Choose the version of 'field' or 'scene' that is in use. Raises SnergError when the folder cannot be written."""
         self._write_owner(use={**self._used(), step: self.key(version)})
+
+    def use_newest(self, step: str) -> None:
+        """Use the newest version of 'field' or 'scene' from now on. Raises SnergError when the folder cannot be written."""
+        self._write_owner(use={key: value for key, value in self._used().items() if key != step})
 
     def new_version(self, step: str) -> Path:
         """Make an empty folder for a new version, with the next number. Raises SnergError when it cannot be made."""

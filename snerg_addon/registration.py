@@ -15,9 +15,11 @@ from . import (
     flamenco,
     menus,
     overlay,
+    page_server,
     panels,
     pictures,
     properties,
+    results,
     saving,
     scene_object,
     steps,
@@ -28,6 +30,7 @@ from .viewport import draw
 CLASSES = (
     *properties.CLASSES,
     *steps.CLASSES,
+    *results.CLASSES,
     scene_object.SNERG_PG_object,
     engine.SNERG_RE_engine,
     *operators.classes(),
@@ -45,6 +48,7 @@ def register() -> None:
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     bpy.types.Object.snerg = bpy.props.PointerProperty(type=scene_object.SNERG_PG_object)
     steps.register()
+    results.register()
     menus.register()
     _commands.append(bpy.utils.register_cli_command("snerg", command.run))
     quit.add_keys()
@@ -63,12 +67,14 @@ def unregister() -> None:
     draw.unregister()
     watch.unregister()
     training_python.stop()
+    page_server.stop()
     flamenco.stop()
     saving.unregister()
     quit.remove_keys()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())
     menus.unregister()
+    results.unregister()
     steps.unregister()
     del bpy.types.Object.snerg
     del bpy.types.Scene.snerg

@@ -19,7 +19,7 @@ NEXT = {
 
 
 class SNERG_PG_steps(bpy.types.PropertyGroup):
-    """Which steps are open in the sidebar"""
+    """Which steps, and whether the list of results, are open in the sidebar"""
 
     box: BoolProperty(name="Box", default=True)
     dataset: BoolProperty(name="Dataset", default=False)
@@ -28,6 +28,7 @@ class SNERG_PG_steps(bpy.types.PropertyGroup):
     preview: BoolProperty(name="Preview", default=False)
     study: BoolProperty(name="Study", default=False)
     export: BoolProperty(name="Export", default=False)
+    results: BoolProperty(name="Results", description="The project's datasets, fields and scenes", default=False)
     followed: StringProperty(name="Followed", description="The project and its step that were opened last", options={"HIDDEN"})
 
 
@@ -56,7 +57,7 @@ def follow(scene: bpy.types.Scene) -> bool:
         return False
     state.followed = now
     for name in (*NEXT, "preview", "study"):
-        setattr(state, name, name == (step or "preview"))
+        setattr(state, name, name == (step or "export"))
     return True
 
 

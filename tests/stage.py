@@ -7,6 +7,8 @@ from typing import Any
 
 import bpy
 
+from snerg.snerg_addon.project import Project, remember
+
 
 def add_camera(name: str = "Camera", location: tuple[float, float, float] = (0.0, 0.0, 5.0), **settings: Any) -> Any:
     """A camera that looks down."""
@@ -42,3 +44,12 @@ def add_plane(size: float = 1.0, location: tuple[float, float, float] = (0.0, 0.
 def contents(folder: Path) -> dict[str, bytes]:
     """{path: bytes} of all files of a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def a_version(project: Project, step: str, psnr: float | None = None) -> Path:
+    """A new version as a job writes it: finished with this PSNR, or stopped where psnr is None."""
+    version = project.new_version(step)
+    (version / {"field": "field.npz", "scene": "scene.json"}[step]).write_bytes(str(psnr).encode())
+    if psnr is not None:
+        remember(project, step, version, {"psnr": psnr})
+    return version

@@ -19,8 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import drive
 import picture_object
 
-STEPS = ("dataset", "field", "box", "bake", "preview", "study", "export")
-SHOWN = {"dataset": ("dataset",), "field": ("field",), "bake": ("box", "bake"), "preview": ("preview",), "export": ("export",)}
+STEPS = ("box", "dataset", "field", "bake", "preview", "study", "export", "results")  # and the list of results
 SCALE = 1.25  # of Blender's interface: letters stay sharp in pictures of the sidebar
 SIDEBAR_WIDTH = 420  # pixels: no name is cut off
 VIEWPORT_SECONDS = 45  # for the viewport's render, by software
@@ -41,12 +40,12 @@ def panels(window: drive.Window, file: str) -> drive.Walk:
     yield from window.wait(1)
     yield from window.open_sidebar()
     yield from widen(window)
-    for name, steps in SHOWN.items():
-        show_only(steps)
+    for name in STEPS:
+        show_only(name)
         yield from window.wait(0.5)
         yield from window.picture(name)
         window.seen.setdefault("crop", {})[name] = sidebar_rectangle(window)
-    show_only(("bake",))
+    show_only("bake")
     window.view.spaces.active.shading.type = "RENDERED"
     yield from window.wait(VIEWPORT_SECONDS)
     yield from window.picture("blender")
@@ -168,10 +167,10 @@ def widen(window: drive.Window) -> drive.Walk:
     yield from window.wait(0.5)
 
 
-def show_only(steps: tuple[str, ...]) -> None:
-    """Open some steps of the sidebar and close the others."""
+def show_only(shown: str) -> None:
+    """Open a step of the sidebar and close the others."""
     for step in STEPS:
-        setattr(bpy.context.window_manager.snerg_steps, step, step in steps)
+        setattr(bpy.context.window_manager.snerg_steps, step, step == shown)
 
 
 def sidebar_rectangle(window: drive.Window) -> list[int]:

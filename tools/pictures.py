@@ -29,7 +29,7 @@ from snerg.tests.window.conftest import Blender, with_extension  # noqa: E402
 DEMO = ROOT / "build" / "demo"
 WORK = ROOT / "build" / "pictures"
 OUT = ROOT / "docs" / "pictures"
-PANELS = ("dataset", "field", "bake", "preview", "export")
+PANELS = ("box", "dataset", "field", "bake", "preview", "study", "export", "results")
 MOST_BYTES = 150_000  # of a picture, so that the README opens quickly
 PAGE_SIZE = (800, 900)  # pixels of the browser's window: as high as Blender's
 PAGE_SECONDS = 40  # until a software renderer has drawn the first frame
@@ -47,7 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--blender", required=True, help="a full Blender, whose Python has JAX, Pillow and msgpack")
     parser.add_argument("--minutes", type=float, default=4.0, help="of training (default: %(default)s)")
     parser.add_argument("--keep", action="store_true", help="use the project of an earlier run: only take the pictures anew")
-    parser.add_argument("--only", choices=("object",), help="only the pictures of the baked scene as an object, of the demo's scene")
+    parser.add_argument(
+        "--only", choices=("object", "panels"), help="only the pictures of the baked scene as an object, or those of the panel's steps"
+    )
     options = parser.parse_args(arguments)
     if not (DEMO / "dataset").is_dir():
         sys.exit("There is no dataset in build/demo; run `make demo` first.")
@@ -64,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     photograph(blender, "panels", file)
     for name in PANELS:
         write(cropped(name), OUT / f"panel-{name}.png")
+    if options.only == "panels":
+        return
     box_picture(blender, file)
     web = next(WORK.glob("*.snerg/*/web"))
     write(beside(Image.open(WORK / "panels" / "blender.png"), page(web)), OUT / "blender-and-web.webp")

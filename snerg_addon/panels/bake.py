@@ -10,7 +10,7 @@ import bpy
 from .. import estimate_panel
 from ..project import project_of
 from .layout import LINE_WIDTH, Step, decibels, draw_box, joined, megabytes
-from .versions import draw_versions, made_with
+from .versions import made_with
 
 
 class BakeStep(Step):
@@ -23,7 +23,7 @@ class BakeStep(Step):
         header.operator("snerg.import_scene", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
-        """The settings, the estimate, the buttons, and the versions."""
+        """The settings, the estimate, the buttons, and what the version in use is."""
         project = project_of(context.scene)
         column = layout.column(align=True)
         count = column.row(align=True)
@@ -39,6 +39,5 @@ class BakeStep(Step):
         layout.operator("snerg.import_scene", icon="IMPORT")
         if project.has("scene"):
             note = project.notes().get("scene", {})
-            blocks = f"{note['blocks']} blocks" if isinstance(note.get("blocks"), int) else ""
+            blocks = f"{note['blocks']} block{'' if note['blocks'] == 1 else 's'}" if isinstance(note.get("blocks"), int) else ""
             draw_box(layout, joined(decibels(note), blocks, megabytes(note)), *made_with(project, "scene"))
-        draw_versions(layout, project, "scene")

@@ -8,6 +8,7 @@ import bpy
 
 from .. import overlay
 from ..bridge import box_of, size_text
+from ..project import project_of
 from .layout import Step, draw_box
 
 
@@ -24,8 +25,13 @@ class BoxStep(Step):
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The box, a button to add one, and its size."""
         layout.prop(settings, "box", icon="EMPTY_AXIS")
-        layout.operator("snerg.add_box", icon="CUBE")
         box = box_of(context.scene)
+        layout.operator("snerg.add_box", icon="CUBE", text="Select Box" if box else "Add Box")
+        if box:
+            row = layout.row(align=True)
+            row.operator("snerg.fit_box", text="Fit to Objects")
+            if project_of(context.scene).has("field"):
+                row.operator("snerg.fit_box_to_field", text="Fit to Field")
         if settings.box and box is None:
             draw_box(layout, f"{settings.box.name} was deleted; add a new box")
         if box:

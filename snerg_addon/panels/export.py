@@ -31,9 +31,12 @@ class ExportStep(Step):
         layout.prop(settings, "single_file")
         layout.operator("snerg.export_web", icon="URL")
         layout.operator("snerg.export_scene", icon="EXPORT")
-        notes = project_of(context.scene).notes()
+        project = project_of(context.scene)
+        notes = project.notes()
         draw_box(
             layout,
             joined("Web page", megabytes(notes["web"])) if "web" in notes else "",
             joined("Scene files", megabytes(notes["reference"])) if "reference" in notes else "",
         )
+        if project.has("web"):
+            layout.operator("snerg.open_page", icon="WORLD")

@@ -14,7 +14,7 @@ from ..curve import Curve, curve_of
 from ..presets import PRESETS, is_set, takes
 from ..project import Project, project_of
 from .layout import LINE_WIDTH, Step, decibels, draw_box, draw_sentence, joined, megabytes
-from .versions import draw_versions, made_with
+from .versions import made_with
 
 CURVE_SCALE = 8.0  # of the curve's picture, in rows of the panel
 
@@ -29,7 +29,7 @@ class FieldStep(Step):
         header.operator("snerg.import_field", text="", icon="IMPORT", emboss=False)
 
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
-        """The settings, the buttons, the training curve, and the versions."""
+        """The settings, the buttons, the training curve, and what the version in use is."""
         project = project_of(context.scene)
         draw_presets(layout, context)
         layout.prop(settings, "minutes")
@@ -49,7 +49,6 @@ class FieldStep(Step):
             draw_box(layout, joined(decibels(note), steps_text(note), megabytes(note)), *made_with(project, "field"))
             for decision in note.get("decisions", []):
                 draw_decision(layout, decision)
-        draw_versions(layout, project, "field")
 
 
 def draw_presets(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -8,6 +8,7 @@ import textwrap
 import bpy
 
 from .. import flamenco, training_python
+from ..folder_pattern import DEFAULT, problem
 from ..preferences import ADDON, FLAMENCO_URL, GPU_MEGABYTES
 
 LINE_WIDTH = 80  # characters of a line that fit into the preferences' window at its default width
@@ -18,6 +19,11 @@ class SNERG_AP_preferences(bpy.types.AddonPreferences):
 
     bl_idname = ADDON
 
+    project_pattern: bpy.props.StringProperty(
+        name="Project Folder",
+        description="Where new projects go: // is the folder of the .blend file, {file} its name, {scene} the name of the scene. "
+        "Projects that exist stay where they are",
+    )
     gpu_megabytes: bpy.props.IntProperty(
         name="Graphics Memory",
         description="MB of graphics memory that SNeRG objects may take in the viewport; those that do not fit are not drawn there",
@@ -40,6 +46,9 @@ class SNERG_AP_preferences(bpy.types.AddonPreferences):
     def draw(self, context: bpy.types.Context) -> None:
         """The settings, and what the Python for training and the farm say of themselves."""
         self.layout.use_property_split = True
+        self.layout.prop(self, "project_pattern", placeholder=DEFAULT)
+        if sentence := problem(self.project_pattern):
+            draw_answer(self.layout, training_python.Answer(sentence, False))
         self.layout.prop(self, "gpu_megabytes")
         row = self.layout.row(align=True)
         row.prop(self, "training_python", placeholder="Blender's own")

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from scenes import make_snerg
+from scenes import make_dataset, make_snerg
 from snerg.core.commands.train import train_field
 from snerg.core.errors import SnergError
 from snerg.core.export.scene_files import write_scene
@@ -56,3 +56,11 @@ def test_a_file_is_imported_as_what_it_is(scene, dataset, tmp_path):
         importer_of(tmp_path / "nothing.json")
     assert bpy.ops.snerg.import_file(filepath=str(tmp_path / "scene" / "scene.json")) == {"FINISHED"}
     assert any(thing.snerg.folder for thing in scene.objects)
+
+
+def test_a_file_of_one_split_stands_for_its_folder(tmp_path):
+    photos = make_dataset(tmp_path / "photos", train=2, test=1, size=8)
+    for split in ("train", "test"):
+        assert importer_of(photos / f"transforms_{split}.json") == ("import_dataset", photos)
+    alone = (photos / "transforms_test.json").rename(tmp_path / "cameras.json")
+    assert importer_of(alone) == ("import_dataset", alone)

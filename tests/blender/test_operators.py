@@ -205,8 +205,8 @@ def test_the_box_fits_round_what_is_selected(scene):
     assert box.name == "SNeRG Box" and tuple(box.location) == pytest.approx((10, 0, 0), abs=1e-5)
     assert box.scale.x == pytest.approx(0.525) and box.scale.z > 0
     box.select_set(False)
-    assert bpy.ops.snerg.add_box() == {"FINISHED"}
-    assert scene.snerg.box.location.x == pytest.approx(4.75)
+    assert bpy.ops.snerg.fit_box() == {"FINISHED"}
+    assert scene.snerg.box == box and box.location.x == pytest.approx(4.75)
 
 
 def test_steps_end_as_jobs_do():

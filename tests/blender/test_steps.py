@@ -38,7 +38,7 @@ def test_the_step_that_comes_next_opens_and_the_others_close(scene):
     assert not steps.follow(scene) and opened() == {"box", "export"}, "what the artist opened stays until a step is done"
     add_box(Box.axis_aligned(np.zeros(3), np.ones(3)), scene)
     assert steps.follow(scene) and opened() == {"dataset"}
-    for made, comes in (("dataset", "field"), ("field", "bake"), ("scene", "export"), ("web", "preview")):
+    for made, comes in (("dataset", "field"), ("field", "bake"), ("scene", "export"), ("web", "export")):
         make(scene, made)
         assert steps.follow(scene) and opened() == {comes}
     assert steps.next_step(scene) == "All steps are done"

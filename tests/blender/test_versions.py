@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 
 import bpy
 import pytest
-from stage import contents
+from stage import a_version, contents
 
 from scenes import make_snerg
 from snerg.core.export.scene_files import write_scene
-from snerg.operators import bake, train
-from snerg.snerg_addon.project import Project, project_of, remember
-
-
-def a_version(project: Project, step: str, psnr: float | None = None) -> Path:
-    """A new version as a job writes it: finished with this PSNR, or stopped where psnr is None."""
-    version = project.new_version(step)
-    (version / {"field": "field.npz", "scene": "scene.json"}[step]).write_bytes(str(psnr).encode())
-    if psnr is not None:
-        remember(project, step, version, {"psnr": psnr})
-    return version
+from snerg.core.jobs.task import ThreadTask
+from snerg.operators import bake, classes, train, watch
+from snerg.operators.task_operator import TaskOperator
+from snerg.snerg_addon import results
+from snerg.snerg_addon.activity import Activity
+from snerg.snerg_addon.project import project_of
+from snerg.snerg_addon.scene_object import folder_of, own_objects
 
 
 @pytest.mark.parametrize("step", ["field", "scene"])
@@ -38,9 +35,9 @@ def test_a_finished_version_is_in_use_and_a_stopped_one_is_not(scene, step):
 def test_the_artist_goes_back_renames_and_deletes(scene):
     project = project_of(scene)
     first, second = a_version(project, "field", 30.0), a_version(project, "field", 31.0)
-    assert bpy.ops.snerg.use_version(step="field", version=first.name) == {"FINISHED"}
+    results.choose(scene, "field", first)
     assert project.field == first and project.notes()["field"]["psnr"] == 30.0
-    assert bpy.ops.snerg.rename_version(step="field", version=first.name, name="Before the sofa") == {"FINISHED"}
+    project.rename(first, "Before the sofa")
     assert project.name_of(first) == "Before the sofa" and project.name_of(second) == second.name
     assert bpy.ops.snerg.delete_version(step="field", version=first.name) == {"FINISHED"}
     assert not first.exists() and project.versions("field") == [second] and project.field == second
@@ -77,6 +74,22 @@ def test_a_bake_says_which_field_and_settings_it_is_of(scene, monkeypatch):
     project.rename(a_version(project, "field", 30.0), "Sofa")
     arguments = bake.SNERG_OT_bake.start(None, bpy.context, project)
     assert project.settings_of(Path(arguments[3])) == "field Sofa, resolution 256, samples 0"
+
+
+@pytest.mark.parametrize("operator", [cls for cls in classes() if issubclass(cls, TaskOperator)], ids=lambda cls: cls.bl_idname)
+def test_a_result_is_taken_without_an_instance_of_the_operator(operator):
+    assert "super(" not in inspect.getsource(operator.finish), "watch.Finisher stands in for the instance, which Blender deleted"
+
+
+def test_a_scene_imported_by_a_job_is_shown(scene):
+    project = project_of(scene)
+    path = project.new_version("scene")
+    write_scene(make_snerg((34, 30, 40), diffuse=True), path)
+    task = ThreadTask(lambda progress: {"to": str(path)})
+    task.wait()
+    done = Activity("bake", "Importing the scene", task, "snerg.import_scene", project.folder, scene.name, scene.session_uid)
+    assert watch.take_result(done) == (f"Imported the baked scene into {path}", True)
+    assert project.scene == path and [folder_of(thing) for thing in own_objects()] == [path]
 
 
 def test_an_import_is_a_version(scene, tmp_path):

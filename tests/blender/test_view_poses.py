@@ -323,8 +323,9 @@ def test_a_hidden_box_is_where_it_is(scene, hidden):
 
 
 def added_box(scene) -> tuple[np.ndarray, np.ndarray]:
-    """(lowest, highest) corner of the box that Add Box makes, without its margin."""
-    bpy.ops.snerg.add_box()
+    """(lowest, highest) corner of the box that Add Box makes, and Fit Box to Objects where there is one, without its margin."""
+    fit = bpy.ops.snerg.fit_box if scene.snerg.box else bpy.ops.snerg.add_box
+    assert fit() == {"FINISHED"}
     box = evaluated_box(scene, scene.snerg.box)
     centre, half = box.box_to_world[:3, 3], box.size / 2 / 1.05
     return centre - half, centre + half

@@ -62,7 +62,7 @@ class Blender:
         """Where a walk leaves what it saw."""
         return OUT / name
 
-    def walk(self, name: str, *arguments: object) -> dict[str, Any]:
+    def walk(self, name: str, *arguments: object, seconds: float = 300) -> dict[str, Any]:
         """Start it with a window, do what the function `name` of walks.py does there, and return what that saw.
 
         The console's output, the JSON and the screenshots stay in build/window/NAME.
@@ -70,12 +70,12 @@ class Blender:
         folder = self.folder(name)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        return self.walk_on(name, folder, *arguments)
+        return self.walk_on(name, folder, *arguments, seconds=seconds)
 
-    def walk_on(self, name: str, folder: Path, *arguments: object) -> dict[str, Any]:
+    def walk_on(self, name: str, folder: Path, *arguments: object, seconds: float = 300) -> dict[str, Any]:
         """The same in a folder that an earlier walk has filled."""
         script = ("--enable-event-simulate", "--python", str(HERE / "drive.py"), "--", name, str(folder), *map(str, arguments))
-        result = self.run(*script, screen=True)
+        result = self.run(*script, screen=True, seconds=seconds)
         (folder / f"{name}.log").write_text(result.stdout + result.stderr)
         report = folder / f"{name}.json"
         assert report.is_file(), f"Blender ended during {name!r} with code {result.returncode}: {(result.stdout + result.stderr)[-2000:]}"

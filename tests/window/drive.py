@@ -24,7 +24,7 @@ import bpy
 TICK_SECONDS = 0.03
 SIDEBAR_MARGIN = 90  # pixels from the sidebar's left edge, where every row of a panel has its button
 TAB_MARGIN = 8  # pixels from its right edge, where the tabs are
-ROW = 12  # pixels, less than a button's height
+ROW = 18  # pixels, less than a button's height
 Walk = Iterator[None]
 
 
@@ -81,9 +81,9 @@ class Window:
         yield
 
     def type(self, text: str) -> Walk:
-        """Letters and spaces, as a keyboard gives them."""
+        """Letters, spaces and a 2, as a keyboard gives them."""
         for letter in text:
-            kind = "SPACE" if letter == " " else letter.upper()
+            kind = {" ": "SPACE", "2": "TWO"}.get(letter, letter.upper())
             self.send(kind, "PRESS", unicode=letter)
             self.send(kind, "RELEASE")
             yield
@@ -127,6 +127,14 @@ class Window:
         Blender tells no script where it drew a button; Ctrl-C over one copies the call that it makes.
         """
         yield from self.open_steps()
+        yield from self.seek(f"bpy.ops.{operator}(", f"button for {operator}", from_right, ctrl=True)
+
+    def find_setting(self, path: str) -> Walk:
+        """The pointer over a setting in the steps that are open. path: what Shift-Ctrl-C copies there, such as 'snerg.cameras'."""
+        yield from self.seek(path, f"setting {path}", ctrl=True, shift=True, from_right=SIDEBAR_MARGIN)
+
+    def seek(self, copied: str, what: str, from_right: int = 0, **keys: bool) -> Walk:
+        """The pointer over what copies a text that begins with `copied` when C is pressed with `keys`."""
         sidebar = self.sidebar
         x, top = sidebar.x + (sidebar.width - from_right if from_right else SIDEBAR_MARGIN), sidebar.y + sidebar.height
         yield from self.move(x, top - ROW)
@@ -135,11 +143,11 @@ class Window:
             for y in range(top - ROW, sidebar.y + ROW, -ROW):
                 bpy.context.window_manager.clipboard = ""
                 yield from self.move(x, y)
-                yield from self.press("C", ctrl=True)
-                if bpy.context.window_manager.clipboard.startswith(f"bpy.ops.{operator}("):
+                yield from self.press("C", **keys)
+                if bpy.context.window_manager.clipboard.startswith(copied):
                     return
             yield from self.scroll("WHEELDOWNMOUSE", 8)
-        raise AssertionError(f"The sidebar has no button for {operator}")
+        raise AssertionError(f"The sidebar has no {what}")
 
     def scroll(self, wheel: str, times: int) -> Walk:
         """Turn the mouse's wheel."""

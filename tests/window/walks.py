@@ -21,6 +21,7 @@ from objects import (  # noqa: F401  # walks too
     several_regions,
     undo,
 )
+from panel import dropped, empty_to_page, found_by_f3, steps_opened  # noqa: F401  # walks too
 from viewport import between_meshes, gpu_frames, preview_seen, rewritten, shown_training  # noqa: F401  # walks too
 
 FROM_RIGHT = 40  # pixels from the sidebar's right edge to the button that stops what runs
