@@ -98,12 +98,12 @@ class RayDataset:
         index = self._draw(count, rng)
         if not self.withheld.any():
             return index
-        again = np.flatnonzero(self.withheld[self._view(index)])
+        again = np.flatnonzero(self.withheld[self.view(index)])
         for _ in range(1000):
             if not len(again):
                 return index
             index[again] = self._draw(len(again), rng)
-            again = again[self.withheld[self._view(index[again])]]
+            again = again[self.withheld[self.view(index[again])]]
         raise SnergError("Hardly a pixel is in a view that is not held out; hold out fewer views, or hide less with masks.")
 
     def _draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
@@ -111,7 +111,8 @@ class RayDataset:
             return rng.integers(0, len(self.pixels), count)
         return np.asarray(self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64))
 
-    def _view(self, index: NDArray[Any]) -> NDArray[Any]:
+    def view(self, index: NDArray[Any]) -> NDArray[Any]:
+        """The views [N] of the pixels with numbers `index` [N]."""
         return np.searchsorted(self.ends, index, side="right")
 
     def rays(self, index: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -120,7 +121,7 @@ class RayDataset:
         All are float64 and in field coordinates, except the view directions, which are unit vectors in world axes. The same rays as those
         of Camera.rays and `space_rays`.
         """
-        view = self._view(index)
+        view = self.view(index)
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         flat = (np.stack([column, row], axis=-1) + 0.5 - self.centre[view]) / self.focal[view]
         if self.lenses is not None:
