@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.dataset import Dataset
 from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
@@ -175,6 +176,17 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[An
     for axis in range(3):
         grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
     return domain, grown.reshape(-1) & inside
+
+
+def pixel_size(dataset: Dataset) -> float:
+    """The median size of a view's pixel at the middle of the suggested box, in units of half the box's longest side."""
+    box = dataset.suggested_box()
+    middle, half = box.box_to_world[:3, 3], float(box.size.max()) / 2
+    sizes = []
+    for camera in dataset.cameras:
+        distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(middle - camera.position))
+        sizes.append(distance / max(camera.focal))
+    return float(np.median(sizes)) / half
 
 
 def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], ndc: bool) -> Decision:
