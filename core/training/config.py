@@ -36,7 +36,7 @@ class TrainSettings:
     sampler: str = "packed"  # 'packed': equally spaced samples of occupied cells (ours); 'hierarchical' (NeRF, section 5.2)
     hierarchy: str = "auto"  # hierarchical: 'on': a coarse and a fine network; 'off': one; 'auto': as long as rays need two
     samples: int = 32768  # packed: samples of a step (ours: XLA's temporaries stay under 32 MB)
-    spacing: float = 2 / 256  # packed: final distance of samples on [-1, 1] (ours: voxels of a small bake; `suited`); it begins 8 times as large
+    spacing: float = 2 / 256  # packed: final distance of samples on [-1, 1] (ours: voxels of a small bake; see `suited`); at first 8 times
     rays: int = 8192  # hierarchical: rays of a step (section 6, synthetic scenes; 16384 for real ones)
     coarse: int = 192  # hierarchical: evenly spaced samples of a ray (section 6)
     fine: int = 384  # hierarchical: samples of a ray that are drawn from the coarse weights (section 6)
