@@ -67,7 +67,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         seen[alive] |= inside
         if mask is None:
             continue
-        spread = dilated(mask, _footprint(camera, depth[inside], radius))
+        spread = dilated(mask, footprint(camera, depth[inside], radius))
         gone = inside.copy()
         gone[inside] = ~spread[row[inside], column[inside]]
         alive = alive[~gone]
@@ -76,7 +76,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
     return np.asarray(result & seen)
 
 
-def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
+def footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
     """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
     if not len(depth):
         return 1

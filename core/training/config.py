@@ -30,6 +30,7 @@ class TrainSettings:
     # What the images decide where it is 'auto'; 'on' or 'off' overrides.
     ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
     transparency: str = "auto"  # whether the images' alpha is trained on and bounds the scene (visual hull)
+    depth: str = "auto"  # whether the dataset's depth says before the first step which cells are empty and where rays end
     backdrop: str = "auto"  # whether a plain backdrop in opaque images bounds the scene (visual hull)
 
     # Sampling.
@@ -72,6 +73,7 @@ class TrainSettings:
         one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))
         one_of("ndc", self.ndc, ("auto", "on", "off"))
         one_of("transparency", self.transparency, ("auto", "on", "off"))
+        one_of("depth", self.depth, ("auto", "on", "off"))
         one_of("backdrop", self.backdrop, ("auto", "on", "off"))
         one_of("sampler", self.sampler, ("packed", "hierarchical"))
         one_of("hierarchy", self.hierarchy, ("auto", "on", "off"))

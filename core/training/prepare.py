@@ -17,7 +17,7 @@ from ..io.images import over, to_uint8
 from ..nerf.model import init_params, with_frequencies
 from ..nerf.sampling import Domain, clip_rays, hull
 from ..progress import Progress
-from . import decisions, view_dependence_test
+from . import decisions, known_depth, view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
 from .hierarchical_sampler import HierarchicalSampler
@@ -114,7 +114,36 @@ def find_domain(
     progress(0.0, "Carving the visual hull")
     silhouettes, backdrop = find_silhouettes(dataset, settings, rays, masks)
     domain, occupied = hull(dataset.suggested_box(), dataset.cameras, silhouettes)
-    return domain, None, occupied, [decision, backdrop]
+    if settings.depth == "off" or any(view.depth is None for view in dataset.views):
+        return domain, None, occupied, [decision, backdrop]
+    if settings.depth == "auto" and (dataset.source is None or dataset.source.photographs):
+        of_depth = Decision("Depth", False, "The depth of photographs is not exact enough to call cells empty.")
+    else:
+        progress(0.0, "Reading the depth")
+        occupied, of_depth = carve_by_depth(dataset, settings, rays, domain, occupied)
+    return domain, None, occupied, [decision, backdrop, of_depth]
+
+
+def carve_by_depth(
+    dataset: Dataset, settings: TrainSettings, rays: RayDataset, domain: Domain, occupied: NDArray[Any]
+) -> tuple[NDArray[Any], Decision]:
+    """(the cells that no view looks through bool [CELLS^3], the decision on depth), with the depth in `rays`; or the cells as they are.
+
+    Raises SnergError where the settings want depth and it cannot be read; otherwise training does without.
+    """
+    try:
+        missing = known_depth.missing_share(dataset, rays)
+        kept = known_depth.carve(dataset, rays, domain, occupied)
+    except SnergError as error:
+        if settings.depth == "on":
+            raise
+        rays.depth = None
+        return occupied, Decision("Depth", False, f"It cannot be read: {error}")
+    decision = decisions.known_depth(settings.depth, missing, int(occupied.sum()), int(kept.sum()))
+    if decision.chosen and kept.any():
+        return kept, decision
+    rays.depth = None
+    return occupied, decision
 
 
 def find_silhouettes(
