@@ -30,7 +30,7 @@ class TrainSettings:
     # What the images decide where it is 'auto'; 'on' or 'off' overrides.
     ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
     transparency: str = "auto"  # whether the images' alpha is trained on and bounds the scene (visual hull)
-    depth: str = "auto"  # whether the dataset's depth says before the first step which cells are empty and where rays end
+    depth: str = "auto"  # 'auto': the dataset's depth, if it is a render's, ends rays at first; 'on': and what views look through is empty
     backdrop: str = "auto"  # whether a plain backdrop in opaque images bounds the scene (visual hull)
 
     # Sampling.

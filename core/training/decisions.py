@@ -21,7 +21,6 @@ from ..nerf.sampling import CELLS, Domain, carve, cell_centres, clip_rays, pack_
 from .config import TrainSettings
 
 TRANSPARENT = 0.001  # share of pixels that are not opaque, from which alpha says something of the scene
-DEPTHLESS = 0.02  # share of the pixels with alpha that have no depth, up to which the depth is complete: edges, and hair
 FACING = 35.0  # degrees between the cameras' mean axis and theirs, up to which a scene is forward-facing (LLFF: 20 and less)
 PLAIN = 0.5  # share of the images' borders that have the background's colour, from which that is a backdrop
 DEEP = 2.0  # farthest / nearest, from which device coordinates spend samples better than the world's
@@ -73,16 +72,15 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
 
 
-def known_depth(setting: str, missing: float, cells: int, kept: int) -> Decision:
-    """Decide whether the dataset's depth bounds the scene: yes where at most DEPTHLESS of the pixels with alpha have none.
+def known_depth(setting: str, missing: float, carved: float) -> Decision:
+    """The decision that the dataset's depth is used, and where the setting is 'on', that it empties cells.
 
-    missing: their share in [0, 1]; cells, kept: of the occupancy grid, before and after the carving.
+    missing: share in [0, 1] of what the images show that has no depth; carved: share of the cells of the occupancy grid that are emptied.
     """
-    evidence = (
-        f"{100 * missing:.2f} % of what the images show has no depth (smoke and fog have none; up to {100 * DEPTHLESS:g} % are edges)"
-    )
-    evidence += f"; depth empties {100 * (1 - kept / max(cells, 1)):.0f} % of the cells."
-    return decided("Depth", setting, missing <= DEPTHLESS, evidence, missing, DEPTHLESS)
+    evidence = f"Rays end behind the depth of the dataset at first; {100 * missing:.1f} % of what the images show has none."
+    if setting == "on":
+        evidence += f" {100 * carved:.0f} % of the cells are empty, because a view looks through them."
+    return Decision("Depth", True, evidence, missing, None, setting != "auto")
 
 
 def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:

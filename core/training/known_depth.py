@@ -22,18 +22,17 @@ EDGE = 1  # pixels around a pixel whose depths count as its own: a pixel at an e
 def missing_share(dataset: Dataset, rays: RayDataset) -> float:
     """Reads all depths, and gives each ray the depth behind which it needs no samples, or infinity (`RayDataset.depth`).
 
-    Returns the share in [0, 1] of the pixels with alpha that have no depth; 1 where a view has none at all. Raises SnergError where a
-    file cannot be read.
+    Every view must name a depth. Returns the share in [0, 1] of the pixels with alpha that have no depth. Raises SnergError where a file
+    cannot be read.
     """
-    limits, missing, shown = [], 0, 0
+    limits, missing, shown = np.full(len(rays.pixels), np.inf, np.float32), 0, 0
     for i, (start, end) in enumerate(zip(rays.starts, rays.ends, strict=True)):
         depth = dataset.depth(i)
-        if depth is None:
-            return 1.0
+        assert depth is not None
         there, none = rays.pixels[start:end, 3].reshape(depth.shape) > 0, np.isnan(depth)
         missing, shown = missing + int((none & there).sum()), shown + int(there.sum())
-        limits.append(extreme(np.where(none, np.float32(np.inf), depth), EDGE, largest=True).reshape(-1))
-    rays.depth = np.concatenate(limits)
+        limits[start:end] = extreme(np.where(none, np.float32(np.inf), depth), EDGE, largest=True).reshape(-1)
+    rays.depth = limits
     return missing / max(shown, 1)
 
 

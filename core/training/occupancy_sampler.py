@@ -31,7 +31,7 @@ UPDATE_CELLS = 2**18  # cells of the occupancy grid that are measured in one upd
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may become empty
 SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (math.inf, 1))  # (until this fraction of a minute's training, times the final spacing)
-KNOWN_UNTIL = 0.3  # fraction of the training up to which the dataset's depth ends rays; then glass and mirrors may turn out deeper
+KNOWN_UNTIL = 0.3  # fraction of the training up to which the dataset's depth ends rays; then glass may turn out to show more
 STEPS_A_MINUTE = 1200  # of a training that has steps and no time, about
 
 
