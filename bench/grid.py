@@ -118,7 +118,10 @@ class Setup:
 
 
 def measure(setup: Setup, path: Path, settings: MarchSettings = DEFAULT_MARCH, pictures: Path | None = None) -> dict[str, Any]:
-    """{"psnr", "ssim", "frame"} of a field or a scene on the views; frame: median seconds. pictures: file for a contact sheet, if any."""
+    """{"psnr" (mean of views), "ssim", "frame"} of a field or a scene on the views; frame: median seconds.
+
+    pictures: file for a contact sheet, if any.
+    """
     subject: EvaluationTarget = open_target(path, settings)
     score, rows = Score(), []
     for index, camera in enumerate(setup.views.cameras):
@@ -353,7 +356,7 @@ def ablation_table(rows: list[list[Any]]) -> str:
         psnr = "identical" if row["psnr"] is None else f"{row['psnr']:.2f} dB"
         sizes = [f"{1000 * row['frame']:.0f} ms", f"{row['megabytes']:.1f} MB", f"{row['atlas_gb']:.2f} GB"]
         cells.append([name, row["about"], psnr, f"{row['ssim']:.4f}", *sizes, spent])
-    return markdown("row, what, PSNR, SSIM, a frame, stored, in memory, bake", cells)
+    return markdown("row, what, PSNR (mean of views), SSIM, a frame, stored, in memory, bake", cells)
 
 
 if __name__ == "__main__":

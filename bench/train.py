@@ -89,6 +89,7 @@ def measure(name: str, row: TrainingRow, options: argparse.Namespace) -> dict[st
         **asdict(row),
         "dataset": dataset.name if options.data is not None else dataset.name.replace("dataset", "demo"),
         "psnr": measured["psnr"],
+        "psnr_pooled": measured["psnr_pooled"],
         "ssim": measured["ssim"],
         "split": measured["split"],
         "views": measured["views"],
@@ -125,11 +126,11 @@ def table(machine: dict[str, Any], results: list[dict[str, Any]]) -> str:
     lines = [
         on_machine(machine),
         "",
-        "| row | dataset | what | minutes | PSNR | SSIM | steps | ms a step | peak memory |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| row | dataset | what | minutes | PSNR, mean of views | pooled | SSIM | steps | ms a step | peak memory |",
+        "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in results:
-        psnr = "identical" if row["psnr"] is None else f"{row['psnr']:.2f} dB"
+        psnr = " | ".join("identical" if row[name] is None else f"{row[name]:.2f} dB" for name in ("psnr", "psnr_pooled"))
         peak = "—" if row["peak_gb"] is None else f"{row['peak_gb']:.2f} GB"
         where = f"{row['dataset']}, {row['views']} {row['split']} views"
         numbers = f"{psnr} | {row['ssim']:.4f} | {row['steps']} | {row['ms_per_step']:.1f} | {peak}"

@@ -104,8 +104,9 @@ def render(source: Scene | Field, camera: Camera, *, settings: MarchSettings | N
 def evaluate(source: Scene | Field, views: Dataset, *, out: Place | None = None, progress: Progress = silent) -> dict[str, Any]:
     """Measure a scene or a field on views, best those that training did not see: `read_dataset(path, "test")`.
 
-    Returns {"psnr": dB of the mean squared error, None where nothing differs; "ssim": mean; "seconds_per_view"; "views"}. out: a folder
-    for each picture and a sheet of them beside the truth. Raises SnergError when the images cannot be read.
+    Returns {"psnr": mean of the views' dB; "psnr_pooled": dB of their mean squared error; "ssim": mean; "seconds_per_view"; "views"}; the
+    PSNRs are None where nothing differs. out: a folder for each picture and a sheet of them beside the truth.
+    Raises SnergError when the images cannot be read.
     """
     return measure_into(target_of(source), views, None if out is None else Path(out), progress)
 

@@ -158,7 +158,7 @@ def report(out: Path, watch: Stopwatch, held_out: Dataset, field: Field, baked: 
 
 
 def measure(pictures: Pictures, truth: Pictures) -> dict[str, float]:
-    """PSNR of the mean error, and mean SSIM."""
+    """Mean PSNR and mean SSIM of the views."""
     score = Score()
     for picture, wanted in zip(pictures, truth, strict=True):
         score.add(picture, wanted)
@@ -169,8 +169,8 @@ def table(value: dict[str, dict[str, float]]) -> str:
     """The report for people."""
     seconds, psnr, ssim = value["seconds"], value["psnr"], value["ssim"]
     lines = ["", "stage     seconds"] + [f"{name:<8} {seconds[name]:8.1f}" for name in seconds]
-    lines += [f"{'total':<8} {sum(seconds.values()):8.1f}", "", "held-out views    PSNR    SSIM"]
-    lines += [f"{name:<14} {psnr[name]:7.2f} {ssim[name]:7.4f}" for name in psnr]
+    lines += [f"{'total':<8} {sum(seconds.values()):8.1f}", "", "mean of held-out views  PSNR    SSIM"]
+    lines += [f"{name:<20} {psnr[name]:7.2f} {ssim[name]:7.4f}" for name in psnr]
     return "\n".join([*lines, ""] + [f"{name:<8} {size / 1e6:6.1f} MB" for name, size in value["bytes"].items()])
 
 

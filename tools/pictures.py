@@ -220,7 +220,11 @@ def with_results(page: str, report: dict[str, dict[str, float]]) -> str:
         (f"preview, {TEST_VIEWS} views", f"{seconds['preview']:.1f}", " | ", ""),
         ("export the web page", f"{seconds['export']:.0f}", " | ", f"{size['web'] / 1e6:.1f}"),
     )
-    lines = ["| stage | seconds | PSNR | SSIM | megabytes |", "|---|---|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+    lines = [
+        "| stage | seconds | PSNR, mean of views | SSIM | megabytes |",
+        "|---|---|---|---|---|",
+        *(f"| {' | '.join(row)} |" for row in rows),
+    ]
     return f"{head}<!-- demo -->\n" + "\n".join(lines) + f"\n{mark}{tail}"
 
 

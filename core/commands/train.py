@@ -19,8 +19,9 @@ from ..io.lock import one_writer
 from ..nerf.checkpoint import read_field
 from ..nerf.model import VIEWS
 from ..progress import Note, Progress, silent
-from ..training.config import PRESETS, TrainSettings, suited_to_time
+from ..training.config import FINEST_SPACING, PRESETS, TrainSettings, suited
 from ..training.config_values import with_values
+from ..training.decisions import pixel_size
 from ..training.devices import connect
 from ..training.training_folder import FINISHED, NEW, UNFINISHED, finish, training_folder
 
@@ -53,11 +54,12 @@ def train_field(
     goes wrong, Cancelled when `progress` does; then the field as far as it got is kept, to go on with.
     """
     check_out(out, "field", dataset)
-    settings = settings_of(preset, minutes, steps, seed, values or {})
+    settings_of(preset, minutes, steps, seed, values or {})  # errors before the images are read
     with needs_jax():
         from ..training.trainer import train, writes
     with one_writer(out, "a training") if writes() else nullcontext():
         views = read_dataset(dataset, "train", options)
+        settings = settings_of(preset, minutes, steps, seed, values or {}, pixel_size(views))
         for note in views.remarks():
             progress(0.0, Note(note))
         folder, state = training_folder(out, settings, views)
@@ -93,8 +95,10 @@ def _trained(out: Path, field: Field, dataset: Path, views: Dataset, resumed: bo
     }
 
 
-def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int, values: Mapping[str, str]) -> TrainSettings:
-    """The settings of a preset with other values. Raises SnergError on unknown names and wrong values."""
+def settings_of(
+    preset: str, minutes: float | None, steps: int | None, seed: int, values: Mapping[str, str], pixel: float = FINEST_SPACING
+) -> TrainSettings:
+    """The settings of a preset with other values. pixel: see `suited`. Raises SnergError on unknown names and wrong values."""
     if preset not in PRESETS:
         raise SnergError(f"There is no preset {preset!r}; choose one of {', '.join(PRESETS)}.")
     settings = replace(PRESETS[preset], seed=seed)
@@ -102,7 +106,7 @@ def settings_of(preset: str, minutes: float | None, steps: int | None, seed: int
         settings = replace(settings, steps=steps, seconds=None)
     elif minutes is not None:
         settings = replace(settings, steps=None, seconds=60 * minutes)
-    return with_values(suited_to_time(settings), values)
+    return with_values(suited(settings, pixel), values)
 
 
 def background(text: str) -> str:

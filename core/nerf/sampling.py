@@ -68,7 +68,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
         seen[alive] |= inside
         if mask is None:
             continue
-        size = _footprint(camera, depth[inside], radius)
+        size = footprint(camera, depth[inside], radius)
         gone = inside.copy()
         if camera.is_wide:
             size *= MAX_STRETCH
@@ -90,7 +90,7 @@ def _measurable(camera: Camera, pixels: NDArray[Any], size: int) -> NDArray[Any]
     return np.asarray(sure)
 
 
-def _footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
+def footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
     """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
     if not len(depth):
         return 1

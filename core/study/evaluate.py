@@ -29,7 +29,7 @@ from ..rendering.render import MarchSettings, render_scene
 from ..scene.scene import Scene
 from ..training.provenance import background_of, options_of, trained
 from .contact_sheet import contact_sheet, error_picture
-from .metrics import mean_psnr, mse, psnr_of, ssim
+from .metrics import mean_psnr, mse, pooled_psnr, psnr_of, ssim
 
 SHEET_VIEWS = 12  # views on the contact sheet, at most; each view has a file of its own
 SHEET_PIXELS = 480  # width of an image on the contact sheet, at most
@@ -48,7 +48,7 @@ def evaluate(
     progress: Progress = silent,
     settings: MarchSettings = DEFAULT_MARCH,
 ) -> Result:
-    """Measure a field or a scene on views of a dataset: PSNR of the mean squared error, mean SSIM, seconds a view.
+    """Measure a field or a scene on views of a dataset: mean PSNR of the views, PSNR of their pooled error, mean SSIM, seconds a view.
 
     dataset: that of the field's training when None. split: 'test' where there is one, else 'val', when None. holdout, downscale: as in
     training when None. out: a folder for each rendered view, views.json and a contact sheet beside the truth. settings: of a scene's
@@ -189,10 +189,14 @@ class Score:
         self.names.append(name)
 
     def result(self) -> Result:
-        """{"psnr", "ssim", "seconds_per_view", "views"}; psnr is None where it is infinite (hard case 30)."""
-        decibels = mean_psnr(self.errors)
+        """{"psnr", "psnr_pooled", "ssim", "seconds_per_view", "views"}.
+
+        psnr is the mean of the views' decibels, psnr_pooled that of the mean of their squared errors; both are None where they are
+        infinite (hard case 30).
+        """
         return {
-            "psnr": round(decibels, 4) if math.isfinite(decibels) else None,
+            "psnr": _finite(mean_psnr(self.errors)),
+            "psnr_pooled": _finite(pooled_psnr(self.errors)),
             "ssim": round(float(np.mean(self.likeness)), 5),
             "seconds_per_view": round(float(np.mean(self.seconds)), 4),
             "views": len(self.errors),
@@ -204,12 +208,16 @@ class Score:
         return [{"name": n, "psnr": round(psnr_of(e), 3) if e else None, "ssim": round(s, 5)} for n, e, s in rows]
 
     def text(self) -> str:
-        """PSNR of all views in words, for a line of progress."""
+        """Mean PSNR of all views in words, for a line of progress."""
         return _decibels(mean_psnr(self.errors))
 
     def last(self) -> str:
         """PSNR and SSIM of the view that was added last, in words."""
         return f"{_decibels(mean_psnr(self.errors[-1:]))}, SSIM {self.likeness[-1]:.3f}"
+
+
+def _finite(decibels: float) -> float | None:
+    return round(decibels, 4) if math.isfinite(decibels) else None
 
 
 def _decibels(value: float) -> str:

@@ -14,6 +14,7 @@ from .packages import needs_package
 
 WINDOW = 11  # taps of SSIM's Gaussian, and its standard deviation in pixels (Wang et al. 2004)
 SIGMA = 1.5
+IDENTICAL = 100.0  # dB of an identical view in a mean over views; a difference of half a level of 8 bits has 54 dB
 K1, K2 = 0.01, 0.03  # of SSIM, stabilise its fractions (Wang et al. 2004, section III.B)
 
 
@@ -44,14 +45,30 @@ def psnr_of(error: float) -> float:
 
 
 def mean_psnr(errors: Iterable[float]) -> float:
-    """PSNR in dB of the mean of the mean squared errors of several views: one identical view does not make it infinite (hard case 30).
+    """The mean of the PSNRs of several views in dB, from their mean squared errors, as published tables have it (hard case 30).
 
-    Raises SnergError when there are none.
+    An identical view counts as IDENTICAL dB beside others that are not; infinite where all are identical. Raises SnergError when there
+    are none.
     """
+    values = _some(errors)
+    if not any(values):
+        return math.inf
+    return sum(min(psnr_of(error), IDENTICAL) for error in values) / len(values)
+
+
+def pooled_psnr(errors: Iterable[float]) -> float:
+    """PSNR in dB of the mean of the mean squared errors of several views: lower than `mean_psnr` where views differ, infinite where all
+    are identical. Raises SnergError when there are none.
+    """
+    values = _some(errors)
+    return psnr_of(sum(values) / len(values))
+
+
+def _some(errors: Iterable[float]) -> list[float]:
     values = list(errors)
     if not values:
         raise SnergError("There are no views to measure.")
-    return psnr_of(sum(values) / len(values))
+    return values
 
 
 def ssim(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> float:

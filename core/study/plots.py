@@ -106,7 +106,7 @@ def rate_and_distortion(paths: dict[str, list[PathPoint]], rows: Sequence[StudyR
     one.step(x, y, where="post", color=FRONT, linewidth=1.4, linestyle="--", label="Pareto front of all rows")
     logarithmic(one, "x")
     one.set_xlabel("megabytes")
-    one.set_ylabel("PSNR of held-out views, dB")
+    one.set_ylabel("PSNR, mean of held-out views, dB")
     one.legend(fontsize=8, frameon=False)
     return made
 
@@ -129,7 +129,7 @@ def waterfall(found: Sequence[tuple[str, StudyRow]]) -> Any:
     spread = max(max(values) - min(values), 0.2)
     one.set_ylim(min(values) - 0.6 * spread, max(values) + 0.4 * spread)
     one.set_xticks(range(len(names)), names)
-    one.set_ylabel("PSNR of held-out views, dB")
+    one.set_ylabel("PSNR, mean of held-out views, dB")
     return made
 
 

@@ -28,7 +28,14 @@ from .summary import PREDICTED, PathPoint, accuracy, difference, making_seconds,
 
 TEMPLATE = "report.html.j2"
 CROP_PIXELS, ZOOM = 96, 3  # side of a crop of a rendered view, and how many times larger it is shown
-COLUMN_NAMES = {"ms": "ms a frame", "memory_gb": "GB in memory", "psnr": "PSNR", "ssim": "SSIM", "megabytes": "MB", "fps": "FPS"}
+COLUMN_NAMES = {
+    "ms": "ms a frame",
+    "memory_gb": "GB in memory",
+    "psnr": "PSNR (mean of views)",
+    "ssim": "SSIM",
+    "megabytes": "MB",
+    "fps": "FPS",
+}
 EQUAL_TIME = 1.2  # ratio of milliseconds a frame up to which two rows are compared as equally fast
 TIME_QUANTILES = (0.15, 0.5, 0.85)  # of the rows' milliseconds a frame, at which crops are compared
 

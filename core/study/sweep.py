@@ -41,6 +41,7 @@ from .cost_model import Estimate, estimate
 from .evaluate import Score
 from .field_probe import FieldProbe, probe_field
 from .machine import watched
+from .metrics import IDENTICAL
 from .pareto import StudyRow
 from .plan import Configuration, PlanStep
 
@@ -183,9 +184,9 @@ class Sweep:
         result = score.result()
         ms = [1e3 * seconds for seconds in score.seconds]
         timed = {"ms": round(statistics.median(ms), 3), "ms_95": round(float(np.percentile(ms, 95)), 3)}
-        psnr = 100.0 if result["psnr"] is None else result["psnr"]
-        each = [100.0 if view["psnr"] is None else view["psnr"] for view in score.views()]
-        return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
+        decibels = {name: IDENTICAL if result[name] is None else result[name] for name in ("psnr", "psnr_pooled")}
+        each = [IDENTICAL if view["psnr"] is None else view["psnr"] for view in score.views()]
+        return {**decibels, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
 
     def _show(self, key: str, picture: NDArray[Any], truth: NDArray[Any]) -> None:
         """Write a row's picture [H, W, 3], and once the true image [H, W, 3]."""
@@ -322,4 +323,13 @@ def _checked_row(row: StudyRow) -> StudyRow:
             raise ValueError("refine or page is not a boolean")
         text(config["field"], "field")
         Configuration.from_json(config)
-    return row
+    return _with_mean_psnr(row)
+
+
+def _with_mean_psnr(row: StudyRow) -> StudyRow:
+    """The row, with the mean of its views' decibels as `psnr`: rows of versions without `psnr_pooled` have the pooled value there."""
+    if "psnr_pooled" in row:
+        number(row["psnr_pooled"], "psnr_pooled")
+        return row
+    each = row.get("psnr_of_views") or [row["psnr"]]
+    return row | {"psnr": round(statistics.fmean(each), 4), "psnr_pooled": row["psnr"]}

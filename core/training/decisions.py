@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.dataset import Dataset
 from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
@@ -69,6 +70,17 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
     share = float((pixels[:, 3] < 255).mean())
     evidence = f"{100 * share:.2f} % of the pixels are not opaque (from {100 * TRANSPARENT:g} % on, alpha bounds the scene and is learned)."
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
+
+
+def known_depth(setting: str, missing: float, carved: float) -> Decision:
+    """The decision that the dataset's depth is used, and where the setting is 'on', that it empties cells.
+
+    missing: share in [0, 1] of what the images show that has no depth; carved: share of the cells of the occupancy grid that are emptied.
+    """
+    evidence = f"Rays end behind the depth of the dataset at first; {100 * missing:.1f} % of what the images show has none."
+    if setting == "on":
+        evidence += f" {100 * carved:.0f} % of the cells are empty, because a view looks through them."
+    return Decision("Depth", True, evidence, missing, None, setting != "auto")
 
 
 def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:
@@ -176,6 +188,17 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[An
     for axis in range(3):
         grown = grown | np.roll(grown, 1, axis) | np.roll(grown, -1, axis)
     return domain, grown.reshape(-1) & inside
+
+
+def pixel_size(dataset: Dataset) -> float:
+    """The median size of a view's pixel at the middle of the suggested box, in units of half the box's longest side."""
+    box = dataset.suggested_box()
+    middle, half = box.box_to_world[:3, 3], float(box.size.max()) / 2
+    sizes = []
+    for camera in dataset.cameras:
+        distance = 1.0 if camera.projection == "orthographic" else float(np.linalg.norm(middle - camera.position))
+        sizes.append(distance / max(camera.focal))
+    return float(np.median(sizes)) / half
 
 
 def disparity(setting: str, domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], ndc: bool) -> Decision:

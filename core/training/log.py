@@ -51,7 +51,7 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     omitted.
 
     Lines about training have step, seconds, fraction, loss, psnr (dB, of training rays), rate, samples and rays; lines about held-out
-    views have step, seconds and held_out_psnr (dB). Raises SnergError when the file cannot be read.
+    views have step, seconds and held_out_psnr (dB, mean of the views). Raises SnergError when the file cannot be read.
     """
     path = folder / FILE
     with reading(path, "delete it"):

@@ -20,7 +20,8 @@ class RayDataset:
     """The pixels of all views and their rays. Pixels are numbered view after view, row by row.
 
     pixels: [N, 4] uint8, sRGB with straight alpha, which is 255 where an image has none. alpha: whether every image has an alpha channel
-    and some pixel is not opaque. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
+    and some pixel is not opaque. depth: [N] float32 along the camera's axis in world units, behind which a ray needs no samples, or None
+    where the dataset has none. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
     """
 
     def __init__(
@@ -43,6 +44,7 @@ class RayDataset:
         self.parallel = np.array([c.projection == "orthographic" for c in cameras])
         self.near = np.array([c.near for c in cameras])
         self.withheld = np.zeros(len(cameras), bool)
+        self.depth: NDArray[Any] | None = None
         self._set_lenses(cameras)
         self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
         self.alpha = self._fill(images)
@@ -102,12 +104,12 @@ class RayDataset:
         index = self._draw(count, rng)
         if not self.withheld.any():
             return index
-        again = np.flatnonzero(self.withheld[self._view(index)])
+        again = np.flatnonzero(self.withheld[self.view(index)])
         for _ in range(1000):
             if not len(again):
                 return index
             index[again] = self._draw(len(again), rng)
-            again = again[self.withheld[self._view(index[again])]]
+            again = again[self.withheld[self.view(index[again])]]
         raise SnergError("Hardly a pixel is in a view that is not held out; hold out fewer views, or hide less with masks.")
 
     def _draw(self, count: int, rng: np.random.Generator) -> NDArray[Any]:
@@ -115,7 +117,18 @@ class RayDataset:
             return rng.integers(0, len(self.pixels), count)
         return np.asarray(self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64))
 
-    def _view(self, index: NDArray[Any]) -> NDArray[Any]:
+    def surfaces(self, index: NDArray[Any], view_directions: NDArray[Any]) -> NDArray[Any]:
+        """Distances [N], in field coordinates, of `depth` along the rays of pixels `index` [N]; infinite where there is none.
+
+        view_directions: theirs [N, 3].
+        """
+        if self.depth is None:
+            return np.full(len(index), np.inf)
+        along = -(self.pose[self.view(index), :3, 2] * view_directions).sum(axis=-1)
+        return np.asarray(self.depth[index] / along * self.domain.scale)
+
+    def view(self, index: NDArray[Any]) -> NDArray[Any]:
+        """The views [N] of the pixels with numbers `index` [N]."""
         return np.searchsorted(self.ends, index, side="right")
 
     def rays(self, index: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -124,7 +137,7 @@ class RayDataset:
         All are float64 and in field coordinates, except the view directions, which are unit vectors in world axes. The same rays as those
         of Camera.rays and `space_rays`.
         """
-        view = self._view(index)
+        view = self.view(index)
         row, column = np.divmod(index - self.starts[view], self.widths[view])
         flat = (np.stack([column, row], axis=-1) + 0.5 - self.centre[view]) / self.focal[view]
         of_wide = self._wide_directions(view, flat)

@@ -40,7 +40,7 @@ class TrainProgress:
     rays: int  # of the last step
     samples: int  # of the last step
     rate: float  # learning rate of the last step
-    held_out: float | None = None  # PSNR in dB of rays of views that are not trained on; None where none were scored yet
+    held_out: float | None = None  # mean PSNR in dB of views that are not trained on; None where none were scored yet
 
     def text(self) -> str:
         """The progress as one line of text."""

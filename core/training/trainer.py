@@ -27,13 +27,12 @@ from ..progress import Note, Progress, silent
 from . import view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
-from .losses import mse_to_psnr
 from .non_finite import cause
 from .parallel import Devices
 from .prepare import held_out_of, prepare
 from .saving import Saver, TrainProgress, trained_field
 from .state import StepReport, TrainStep, initial_state, restored_state, state_arrays
-from .validation import ValidationRays
+from .validation import ValidationRays, mean_psnr_of
 
 PATIENCE = 5  # steps in a row that are not finite end the training
 SCORE_EVERY, SCORE_SHARE = 20.0, 0.01  # seconds between two scores of held-out rays, and the share of the time that they may take
@@ -81,7 +80,8 @@ class Trainer:
             self.state = replace(self.state, elapsed=elapsed)
             ended = self.fraction() >= 1
             if self.prepared.held_out is not None and (ended or elapsed - scored > SCORE_EVERY):
-                self.held_out_psnr = mse_to_psnr(float(self.errors(self.prepared.held_out).mean()))
+                held_out = self.prepared.held_out
+                self.held_out_psnr = mean_psnr_of(self.errors(held_out), held_out.view)
                 took = time.perf_counter() - began - elapsed
                 scored = elapsed + max(took / SCORE_SHARE - SCORE_EVERY, 0)
             if ended or elapsed - reported > TELL_EVERY:

@@ -17,7 +17,7 @@ from ..nerf.sampling import Domain, pack_samples
 from ..nerf.shading import ray_colour, sample_values
 from ..nerf.volume_rendering import composite, optical_depth
 from .config import TrainSettings
-from .losses import over, shown_over
+from .losses import mse_to_psnr, over, shown_over
 from .ray_dataset import RayDataset
 
 HELD_OUT_RAYS = 4096  # validation rays: their PSNR is accurate to 0.1 dB, and rendering them takes much less than a second of training
@@ -30,7 +30,7 @@ class ValidationRays:
     """A fixed set of R rays of a dataset, drawn with the settings' seed, and their true colours `wanted` [R, 3] over `background` [R, 3].
 
     origins, directions [R, 3] and near, far [R] are in field coordinates; view_directions: [R, 3] unit, world axes; offset: [R], see
-    `pack_samples`. The background is that of `losses.shown_over`.
+    `pack_samples`; view: [R] their views. The background is that of `losses.shown_over`.
     """
 
     def __init__(self, ray_dataset: RayDataset, views: NDArray[Any] | None, count: int, settings: TrainSettings) -> None:
@@ -41,12 +41,22 @@ class ValidationRays:
         ray_dataset.withheld = held
         self.origins, self.directions, self.near, self.far, self.view_directions = ray_dataset.rays(index)
         self.offset = rng.random(count)
+        self.view = ray_dataset.view(index)
         self.background = np.broadcast_to(shown_over(settings.background), (count, 3))
         self.wanted, _ = over(ray_dataset.pixels[index].astype(np.float32) / 255, self.background)
 
     def errors(self, colour: NDArray[Any]) -> NDArray[Any]:
         """Squared error [R] of colours [R, 3], the mean of the channels."""
         return np.asarray(((colour - self.wanted) ** 2).mean(axis=-1))
+
+
+def mean_psnr_of(errors: NDArray[Any], view: NDArray[Any]) -> float:
+    """The mean over views of the PSNR in dB of their rays, as evaluation has it.
+
+    errors: [R] squared errors of rays; view: [R] their views.
+    """
+    _, group = np.unique(view, return_inverse=True)
+    return float(np.mean([mse_to_psnr(error) for error in np.bincount(group, errors) / np.bincount(group)]))
 
 
 def packed_colours(

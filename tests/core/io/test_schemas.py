@@ -143,13 +143,21 @@ def test_a_field(tmp_path, named, edit):
 
 @pytest.mark.parametrize(
     "edit",
-    [put("psnr", None), put("ms", float("nan")), put("seconds", []), put("config", "page", 3), put("config", "bake", "resolution", "x")],
+    [
+        put("psnr", None),
+        put("psnr_pooled", "x"),
+        put("ms", float("nan")),
+        put("seconds", []),
+        put("config", "page", 3),
+        put("config", "bake", "resolution", "x"),
+    ],
 )
 def test_a_row_of_a_study(tmp_path, edit):
     row: dict[str, Any] = {
         "key": "row",
         "config": Configuration().to_json(),
         "psnr": 30.0,
+        "psnr_pooled": 29.0,
         "ms": 5.0,
         "megabytes": 1.0,
         "seconds": {"bake": 1.0},
@@ -161,6 +169,13 @@ def test_a_row_of_a_study(tmp_path, edit):
     path.write_text(json.dumps(row))
     with pytest.raises(SnergError, match=r"row\.json"):
         read_row(path)
+
+
+def test_a_row_of_a_study_whose_psnr_was_pooled(tmp_path):
+    row = {"key": "row", "config": None, "psnr": 29.0, "ms": 5.0, "megabytes": 1.0, "psnr_of_views": [28.0, 32.0]}
+    path = tmp_path / "row.json"
+    path.write_text(json.dumps(row))
+    assert read_row(path) == row | {"psnr": 30.0, "psnr_pooled": 29.0}
 
 
 @pytest.mark.parametrize(

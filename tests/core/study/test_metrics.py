@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from snerg.core.errors import SnergError
-from snerg.core.study.metrics import mean_psnr, mse, psnr, ssim
+from snerg.core.study.metrics import IDENTICAL, mean_psnr, mse, pooled_psnr, psnr, ssim
 
 
 def pictures(seed: int, size=(40, 57, 3)) -> tuple[np.ndarray, np.ndarray]:
@@ -26,9 +26,11 @@ def test_psnr_of_a_known_error():
 def test_identical_pictures():
     a, b = pictures(0)
     assert psnr(a, a) == math.inf and ssim(a, a) == pytest.approx(1)
-    # One perfect view among three: the errors are averaged, not the dB.
-    assert mean_psnr([0.0, 0.01, 0.02]) == pytest.approx(20)
-    assert mean_psnr([mse(a, b)]) == psnr(a, b)
+    # One perfect view among three does not make either mean infinite.
+    assert pooled_psnr([0.0, 0.01, 0.02]) == pytest.approx(20)
+    assert mean_psnr([0.0, 0.01, 0.1]) == pytest.approx((IDENTICAL + 20 + 10) / 3)
+    assert mean_psnr([0.0, 0.0]) == pooled_psnr([0.0]) == math.inf
+    assert mean_psnr([mse(a, b)]) == pooled_psnr([mse(a, b)]) == psnr(a, b)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -64,3 +66,5 @@ def test_what_cannot_be_compared():
         ssim(a[:10], b[:10])
     with pytest.raises(SnergError, match="no views"):
         mean_psnr([])
+    with pytest.raises(SnergError, match="no views"):
+        pooled_psnr([])

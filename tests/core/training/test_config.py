@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from snerg.core.errors import SnergError
+from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, MlpModelConfig
-from snerg.core.training.config import PRESETS, TrainSettings
+from snerg.core.training.config import FINEST_SPACING, PRESETS, TrainSettings, suited
 from snerg.core.training.config_values import setting_names, with_values
 from snerg.core.training.losses import backgrounds, over
 
@@ -107,3 +108,15 @@ def test_what_stands_behind_transparent_pixels():
     assert noise.shape == (1000, 3) and abs(noise.mean() - 0.5) < 0.02 and len(np.unique(noise, axis=0)) == 1000
     colour, alpha = over(np.float32([[0.2, 0.4, 0.6, 0.25]]), np.float32([[1, 0, 0.5]]))
     assert np.allclose(colour, [[0.05 + 0.75, 0.1, 0.15 + 0.375]]) and alpha == 0.25
+
+
+def test_settings_follow_the_time_and_the_pictures():
+    short, long, fine = (replace(TrainSettings(), seconds=60.0 * minutes) for minutes in (5, 10, 30))
+    assert suited(short, 2 / 800) == short
+    grid = HashGrid(log2_size=HashGrid().log2_size + 1)
+    assert suited(long, 2 / 800) == replace(long, family=HashModelConfig(grid))
+    assert suited(fine, 2 / 400) == replace(fine, family=HashModelConfig(grid), spacing=2 / 400, hardness=0.0)
+    assert suited(fine, 2 / 3000).spacing == FINEST_SPACING, "a step must have enough rays"
+    assert suited(fine, 2 / 200).spacing == TrainSettings().spacing, "finer pictures never make the samples coarser"
+    steps = replace(TrainSettings(), seconds=None, steps=100_000)
+    assert suited(steps) == steps and suited(PRESETS["paper"]) == PRESETS["paper"]

@@ -114,6 +114,16 @@ def test_disparity_is_for_rays_that_go_far():
     assert not decisions.disparity("auto", domain, inside + np.array([0, 9, 0]), along, near, False).chosen
 
 
+def test_the_size_of_a_pixel_is_that_at_the_middle_of_the_box(tmp_path):
+    """A camera 4 from the middle of a box of 3: a pixel there is 4 / focal, and half the box is 1.5."""
+    cameras = [camera((4, 0, 0), (0, 0, 0)), camera((0, 0, 4), (0, 0, 0))]
+    for index in range(2):
+        write_png(tmp_path / f"r_{index}.png", np.zeros((cameras[0].height, cameras[0].width, 4), np.uint8))
+    write_transforms(tmp_path / "transforms.json", cameras, [f"r_{i}.png" for i in range(2)])
+    views = replace(read_dataset(tmp_path), box=Box.axis_aligned([-1.5, -1, -1], [1.5, 1, 1]))
+    assert decisions.pixel_size(views) == pytest.approx(4 / cameras[0].focal[0] / 1.5)
+
+
 def test_how_much_of_the_way_may_hold_something():
     domain = Domain(np.zeros(3), 1.0, np.full(3, -1.0), np.full(3, 1.0))
     alive = np.zeros((CELLS,) * 3, bool)
