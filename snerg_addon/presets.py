@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..core.baking.bake import BakeSettings
+from ..core.units import duration, file_size
 from . import estimate_panel
 
 
@@ -43,9 +44,9 @@ def is_set(preset: Preset, scene: bpy.types.Scene) -> bool:
 
 def takes(preset: Preset, context: bpy.types.Context) -> str:
     """What the preset takes, in a few words: its training, and its bake once the project's field was measured with Estimate."""
-    training = f"{preset.minutes:g} min"
+    training = duration(60 * preset.minutes)
     found = estimate_panel.estimated(context, BakeSettings(resolution=preset.resolution))
     if found is None:
         return f"{training} to train, {preset.resolution} voxels"
     seconds = found["bake_seconds"] + found["seconds"].get("refine", 0.0)
-    return f"{training} + {seconds:.0f} s, {found['megabytes']:.0f} MB"
+    return f"{training} + {duration(seconds)}, {file_size(1e6 * found['megabytes'])}"

@@ -11,6 +11,7 @@ from ..errors import SnergError
 from ..nerf.checkpoint import is_field
 from ..progress import Progress, within
 from ..training.config import PRESETS
+from ..units import duration
 from .paper_tables import BAKED, PAPER, VARIANTS
 from .plan import Configuration, PlanStep, StudySettings
 from .prepare import is_trained
@@ -40,7 +41,7 @@ def measure(
         if needed > left:
             if not any(row["config"] for row in sweep.rows.values()):
                 raise SnergError(
-                    f"The coarsest configuration takes about {needed:.0f} seconds, and of the {minutes:g} minutes {max(left, 0):.0f} s "
+                    f"The coarsest configuration takes about {duration(needed)}, and of the {minutes:g} minutes {duration(max(left, 0))} "
                     "are left; give more minutes, fewer views or a lower resolution."
                 )
             left_out.append(step.text)

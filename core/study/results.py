@@ -15,6 +15,7 @@ from ..export.scene_files import write_scene
 from ..io.files import json_bytes, write_bytes
 from ..io.images import read_image, write_png
 from ..progress import Progress
+from ..units import duration, file_size
 from .contact_sheet import contact_sheet, error_picture
 from .evaluate import COLUMNS
 from .pareto import StudyTarget, choose
@@ -61,7 +62,7 @@ def results_sheet(results: StudyResults, pictures: Path) -> NDArray[Any]:
     rows = []
     for row in some:
         picture = read_image(pictures / f"{row['key']}.png")[..., :3].astype(np.float32) / 255
-        name = f"{row['psnr']:.2f} dB, {row['ms']:.0f} ms, {row['megabytes']:.1f} MB"
+        name = f"{row['psnr']:.2f} dB, {duration(row['ms'] / 1e3)}, {file_size(1e6 * row['megabytes'])}"
         rows.append((name, [truth, picture, error_picture(truth, picture)]))
     return contact_sheet(rows, COLUMNS, 480)
 
@@ -78,7 +79,7 @@ def write_chosen(sweep: Sweep, results: StudyResults, target: StudyTarget, out: 
     row, closest = choose(list(results.rows.values()), target)
     if row is None:
         assert closest is not None  # because there are rows
-        reached = f"{closest['psnr']:.2f} dB, {closest['megabytes']:.1f} MB and {closest['ms']:.0f} ms a frame"
+        reached = f"{closest['psnr']:.2f} dB, {file_size(1e6 * closest['megabytes'])} and {duration(closest['ms'] / 1e3)} a frame"
         where = f"({closest['key']} in {out / 'study.csv'})"
         raise SnergError(f"No configuration that was measured has {target.text()}. The closest has {reached} {where}.")
     config = Configuration.from_json(row["config"])
