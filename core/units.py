@@ -22,4 +22,4 @@ def file_size(count: float) -> str:
 def _with_unit(value: float, units: Sequence[Unit]) -> str:
     name, one, _ = next((unit for unit in units if value < unit[2]), units[-1])
     amount = value / one
-    return f"{amount:.1f} {name}" if 0 < amount < 9.95 else f"{amount:.0f} {name}"
+    return f"{amount:.1f}".removesuffix(".0") + f" {name}" if amount < 9.95 else f"{amount:.0f} {name}"

@@ -44,7 +44,7 @@ def is_set(preset: Preset, scene: bpy.types.Scene) -> bool:
 
 def takes(preset: Preset, context: bpy.types.Context) -> str:
     """What the preset takes, in a few words: its training, and its bake once the project's field was measured with Estimate."""
-    training = duration(60 * preset.minutes)
+    training = f"{preset.minutes:g} min"
     found = estimate_panel.estimated(context, BakeSettings(resolution=preset.resolution))
     if found is None:
         return f"{training} to train, {preset.resolution} voxels"

@@ -9,8 +9,17 @@ from snerg.core.units import duration, file_size
 @pytest.mark.parametrize(
     ("seconds", "text"),
     [
-        *((0, "0 ms"), (0.0004, "0.4 ms"), (0.0423, "42 ms"), (0.0996, "0.1 s"), (0.42, "0.4 s"), (9.94, "9.9 s"), (9.96, "10 s")),
-        *((95, "95 s"), (99.4, "99 s"), (100, "1.7 min"), (1.7e3, "28 min"), (5940, "99 min"), (6000, "1.7 h"), (1e6, "278 h")),
+        *((0, "0 ms"), (0.0004, "0.4 ms"), (0.0996, "0.1 s"), (0.42, "0.4 s"), (9.96, "10 s")),
+        *(
+            (95, "95 s"),
+            (300, "5 min"),
+            (99.4, "99 s"),
+            (100, "1.7 min"),
+            (1.7e3, "28 min"),
+            (5940, "99 min"),
+            (6000, "1.7 h"),
+            (1e6, "278 h"),
+        ),
     ],
 )
 def test_a_time_of_any_length_is_read_at_a_glance(seconds, text):
@@ -19,7 +28,7 @@ def test_a_time_of_any_length_is_read_at_a_glance(seconds, text):
 
 @pytest.mark.parametrize(
     ("count", "text"),
-    [(0, "0 kB"), (640, "0.6 kB"), (64e3, "64 kB"), (999.6e3, "1.0 MB"), (2.43e6, "2.4 MB"), (999e6, "999 MB"), (1.26e9, "1.3 GB")],
+    [(0, "0 kB"), (640, "0.6 kB"), (64e3, "64 kB"), (999.6e3, "1 MB"), (2.43e6, "2.4 MB"), (999e6, "999 MB"), (1.26e9, "1.3 GB")],
 )
 def test_a_size_of_any_number_of_bytes_is_read_at_a_glance(count, text):
     assert file_size(count) == text
