@@ -20,7 +20,8 @@ from typing import Any
 import bpy
 
 from ..core.errors import SnergError
-from ..core.io.files import cannot_write, json_bytes, read_json, write_bytes
+from ..core.io.files import cannot_write, write_bytes
+from ..core.io.json_files import json_bytes, read_json
 from ..core.progress import Progress, silent
 
 OWNER = "project.json"

@@ -11,7 +11,8 @@ from ..artifact import kind_of, open_field, open_scene
 from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import read_dataset, read_split
 from ..errors import SnergError
-from ..io.files import MARK, check_replaceable, json_bytes, read_json, write_bytes
+from ..io.files import MARK, check_replaceable, write_bytes
+from ..io.json_files import json_bytes, read_json
 from ..nerf.field import Field
 from ..scene.scene import Scene
 from ..training.provenance import options_of

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from ..artifact import Result
 from ..errors import SnergError
 from ..export.scene_files import write_scene
-from ..io.files import json_bytes, write_bytes
+from ..io.files import write_bytes
 from ..io.images import read_image, write_png
+from ..io.json_files import json_bytes
 from ..progress import Progress
 from ..units import duration, file_size
 from .contact_sheet import contact_sheet, error_picture
