@@ -26,7 +26,7 @@ FEWEST_TICKS = 3  # of a wait: Blender takes an event, runs its timers and draws
 BUSY = 10  # times as long as an idle one a busy machine may take
 SIDEBAR_MARGIN = 90  # pixels from the sidebar's left edge, where every row of a panel has its button
 TAB_MARGIN = 8  # pixels from its right edge, where the tabs are
-ROW = 12  # pixels, less than a button's height
+ROW = 18  # pixels, less than a button's height
 Walk = Iterator[None]
 
 

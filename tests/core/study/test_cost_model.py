@@ -107,6 +107,9 @@ def test_what_is_left_out_is_not_counted(probed):
     assert floats.peak_megabytes > whole.peak_megabytes
     assert estimate(probed, BOX, BakeSettings(resolution=200, supersampling=8)).bake > whole.bake
     assert 0.2 < estimate(probed, BOX, size=(400, 400)).preview / estimate(probed, BOX).preview < 0.4
+    trained = replace(probed, field=replace(probed.field, dataset="photos"))
+    refined, unrefined = (estimate(trained, BOX, refine=refine) for refine in (True, False))
+    assert refined.peak_megabytes > unrefined.peak_megabytes and refined.seconds.keys() - unrefined.seconds.keys() == {"refine"}
 
 
 def test_it_can_be_asked_while_a_box_is_dragged(probed):
