@@ -15,6 +15,7 @@ from typing import Any
 BENCH = "bench-estimate, five fields at 128 to 512 voxels"
 BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
 PRESETS = "by hand from bench-presets, three fields at 128 and 256 voxels"
+SET_UP = "by hand from two trainings of one step: 21 s of the processor, 12 s of them, the compiling, on two cores"
 TRAININGS = "by hand from single trainings; bench-estimate does not refit it"
 
 
@@ -53,7 +54,7 @@ class Coefficients:
         4.0, "queries", "time of a sample of a training step in queries of the field: forward, backward and the optimizer", TRAININGS
     )
     set_up_seconds: float = _coefficient(
-        8.0, "s", "before the first training step, apart from reading images: the visual hull and compiling", TRAININGS
+        15.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
     training_bytes: float = _coefficient(750e6, "bytes", "memory of a training, whatever its images", TRAININGS)
     pixel_bytes: float = _coefficient(8.0, "bytes", "memory of a training for each pixel of its images", TRAININGS)
