@@ -52,14 +52,15 @@ def measured(dataset: Path, preset: Preset, minutes: float, resolution: int, fol
     trained = watched("train", str(dataset), "--out", field, *length)
     baking = watched("estimate", field, *size).result
     baked = watched("bake", field, *size, "--out", str(folder / "scene"))
-    seconds = baked.result["seconds"]  # of the bake, and of the stages after it
+    stages, seconds = baking["seconds"], baked.result["seconds"]  # of the bake, and of what comes after it
+    after = max(round(sum(stages.values()) - baking["bake_seconds"], 1), 0.0)
     found = {
         "training": ["s", training["set_up_seconds"] + training["seconds"], trained.seconds, trained.processor],
         "set-up": ["s", training["set_up_seconds"], trained.seconds - trained.result["seconds"], None],
         "steps": ["", training["steps"], trained.result["steps"], None],
         "its memory": ["MB", training["peak_megabytes"], trained.megabytes, None],
         "bake": ["s", baking["bake_seconds"], seconds["bake"], baked.processor],
-        "after it": ["s", sum(baking["seconds"].values()) - baking["bake_seconds"], sum(seconds.values()) - seconds["bake"], None],
+        "after it": ["s", after, sum(seconds.values()) - seconds["bake"], None],
         "bake's memory": ["MB", baking["peak_megabytes"], baked.megabytes, None],
         "files": ["MB", baking["megabytes"], baked.result["megabytes"], None],
     }
