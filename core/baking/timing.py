@@ -24,7 +24,7 @@ class TimeLeft:
         gone, done = now - self.first[0], fraction - self.first[1]
         if gone > TRUSTED_SECONDS and done > TRUSTED_FRACTION:
             left = gone * (1 - fraction) / done
-            what += f", {duration(left)} left"
+            what += f", {duration(max(round(left), 1))} left"
         self.progress(fraction, what)
 
 
