@@ -56,8 +56,8 @@ class Coefficients:
     set_up_seconds: float = _coefficient(
         15.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
-    training_bytes: float = _coefficient(750e6, "bytes", "memory of a training, whatever its images", TRAININGS)
-    pixel_bytes: float = _coefficient(8.0, "bytes", "memory of a training for each pixel of its images", TRAININGS)
+    training_bytes: float = _coefficient(820e6, "bytes", "memory of a training, whatever its images", PRESETS)
+    pixel_bytes: float = _coefficient(10.0, "bytes", "memory of a training for each pixel of its images", PRESETS)
 
 
 DEFAULT_COEFFICIENTS = Coefficients()
