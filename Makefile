@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -59,6 +59,10 @@ bench-viewport: setup
 # FIELDS="FIELD ...": of which to compare estimates with measurements and refit the cost model (default: those of bench-train).
 bench-estimate: setup
 	$(PY) bench/estimate.py $(FIELDS)
+
+# DATASETS="DATASET ...": on which to compare the estimates of the panel's presets with what they take (default: the demo's).
+bench-presets: setup
+	$(PY) bench/presets.py $(if $(PRESETS),--presets "$(PRESETS)") $(DATASETS)
 
 # Every reader on N damaged files (default: 5000); SEED=1: others.
 fuzz: setup

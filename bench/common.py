@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,21 +22,42 @@ import subprocess, sys
 code = subprocess.call(sys.argv[1:])
 try:
     import resource
-    print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(used.ru_maxrss, used.ru_utime + used.ru_stime)
 except ImportError:
-    print(0)
+    print(0, 0)
 sys.exit(code)
 """
 
 
-def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
-    """Run a command in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
+@dataclass(frozen=True)
+class Watched:
+    """A command that ran: its result, its seconds from start to end, and, None where the system does not say, its peak memory and the
+    seconds that its processor cores worked for it."""
+
+    result: dict[str, Any]
+    seconds: float
+    megabytes: float | None
+    processor: float | None
+
+
+def watched(*arguments: str) -> Watched:
+    """Run a command in a process of its own."""
     command = [sys.executable, "-m", "snerg.core.start", *arguments, "--json"]
+    began = time.monotonic()
     child = subprocess.run([sys.executable, "-S", "-c", WATCH, *command], stdout=subprocess.PIPE, text=True)
+    seconds = time.monotonic() - began
     if child.returncode != 0:
         raise SystemExit(f"'snerg {' '.join(arguments)}' failed with code {child.returncode}.")
-    *_, result, most = child.stdout.splitlines()
-    return json.loads(result), round(int(most) * (1 if sys.platform == "darwin" else 1024) / 1e9, 2) or None
+    *_, result, used = child.stdout.splitlines()
+    most, processor = map(float, used.split())
+    return Watched(json.loads(result), seconds, most * (1 if sys.platform == "darwin" else 1024) / 1e6 or None, processor or None)
+
+
+def snerg(*arguments: str) -> tuple[dict[str, Any], float | None]:
+    """Run a command in a process of its own; returns its result and its peak memory in GB (None where the system does not say)."""
+    ran = watched(*arguments)
+    return ran.result, None if ran.megabytes is None else round(ran.megabytes / 1e3, 2)
 
 
 def demo(out: Path) -> Path:

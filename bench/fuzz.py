@@ -68,9 +68,10 @@ def subjects() -> list[Subject]:
     from snerg.core.export.reference import read_reference, write_reference
     from snerg.core.export.scene_files import codec_of, read_scene, write_scene
     from snerg.core.geometry.box import Box
-    from snerg.core.io.files import json_bytes, write_arrays
+    from snerg.core.io.files import write_arrays
     from snerg.core.io.guard import reading
     from snerg.core.io.images import read_image, read_mask
+    from snerg.core.io.json_files import json_bytes
     from snerg.core.nerf.checkpoint import read_field, write_field
     from snerg.core.nerf.field import Field
     from snerg.core.nerf.hash_grid import HashGrid

@@ -29,8 +29,9 @@ from snerg.core.data.dataset import Dataset
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene_files import read_scene, write_scene
-from snerg.core.io.files import folder_bytes, json_bytes
+from snerg.core.io.files import folder_bytes
 from snerg.core.io.images import over, write_png
+from snerg.core.io.json_files import json_bytes
 from snerg.core.nerf.checkpoint import read_field
 from snerg.core.progress import silent
 from snerg.core.rendering.render import MarchSettings

@@ -30,8 +30,9 @@ from snerg.core.export.bundle import write_bundle
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
-from snerg.core.io.files import folder_bytes, json_bytes, write_bytes
+from snerg.core.io.files import folder_bytes, write_bytes
 from snerg.core.io.images import over, write_png
+from snerg.core.io.json_files import json_bytes
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.render import render_field
 from snerg.core.rendering.render import render_scene

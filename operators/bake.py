@@ -6,7 +6,8 @@ from typing import Any
 
 import bpy
 
-from ..core.io.files import json_bytes, write_bytes
+from ..core.io.files import write_bytes
+from ..core.io.json_files import json_bytes
 from ..core.jobs.task import Task
 from ..snerg_addon.bridge import box_of
 from ..snerg_addon.capture import evaluated

@@ -9,6 +9,7 @@ import bpy
 
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
+from ..core.units import file_size
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.scene_object import folder_of, source_of
 from ..snerg_addon.volume import add_volume, parent_of, volume_path
@@ -39,5 +40,4 @@ class SNERG_OT_export_vdb(SceneObjectOperator, TaskOperator, bpy.types.Operator)
         if parent is None:
             return f"Wrote {path}, but no object shows its scene any more; Add > Volume > Import OpenVDB adds it."
         add_volume(parent, path, scene)
-        size = result["bytes"] / 1e6
-        return f"Wrote {path.name} ({size:.1f} MB) and added it to {parent.name!r} as a volume. {result['left_out']}".strip()
+        return f"Wrote {path.name} ({file_size(result['bytes'])}) and added it to {parent.name!r} as a volume. {result['left_out']}".strip()

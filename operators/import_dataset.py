@@ -13,8 +13,8 @@ from ..core.data.dataset import Dataset, DatasetOptions, View
 from ..core.data.load import read_dataset
 from ..core.data.readers.transforms import has_pictures, read_cameras
 from ..core.geometry.camera import Camera
-from ..core.io.files import read_edited_json
 from ..core.io.images import quarter_turn
+from ..core.io.json_files import read_edited_json
 from ..core.jobs.task import Task, ThreadTask
 from ..core.progress import Progress
 from ..snerg_addon.bridge import add_background, add_box, add_points, set_camera, set_picture

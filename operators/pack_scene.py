@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..core.errors import SnergError
+from ..core.units import file_size
 from ..snerg_addon import packing
 from ..snerg_addon.scene_object import folder_of, is_own
 from .scene_object_operator import SceneObjectOperator
@@ -34,7 +35,7 @@ class SNERG_OT_pack_scene(PackingOperator, bpy.types.Operator):
         except SnergError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"Packed {size / 1e6:.1f} MB; save the file to keep them")
+        self.report({"INFO"}, f"Packed {file_size(size)}; save the file to keep them")
         return {"FINISHED"}
 
 

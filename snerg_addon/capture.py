@@ -19,8 +19,9 @@ from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
-from ..core.io.files import MARK, cannot_write, check_replaceable, discard, json_bytes, new_folder, read_json, write_bytes
+from ..core.io.files import MARK, cannot_write, check_replaceable, discard, new_folder, write_bytes
 from ..core.io.images import read_image, read_size
+from ..core.io.json_files import json_bytes, read_json
 from ..core.progress import Progress, silent
 from .bridge import set_camera
 from .capture_scene import CaptureSettings, capture_scene, colour_settings, layer_warning

@@ -15,6 +15,7 @@ from ..core.nerf.checkpoint import read_field
 from ..core.study.cost_model import estimate
 from ..core.study.field_probe import FieldProbe
 from ..core.study.field_probe_file import read_field_probe, stamp
+from ..core.units import duration, file_size
 from .bridge import box_from_blender, box_of, resolution
 from .project import Project, project_of
 
@@ -84,9 +85,7 @@ def _cached(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, s
 
 
 def summary(value: dict[str, Any]) -> list[str]:
-    """Two lines for an estimate (`Estimate.to_json`), rounded as its accuracy allows."""
+    """Two lines for an estimate (`Estimate.to_json`)."""
     seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
-    time = f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} seconds"
-    memory = f"{value['peak_megabytes'] / 1000:.1f} GB of memory"
-    preview = f"{value['preview']:.0f}" if value["preview"] >= 10 else f"{value['preview']:.2g}"
-    return [f"about {time}, {memory}", f"{value['megabytes']:.0f} MB as PNG, {preview} s per preview"]
+    memory, files = (file_size(1e6 * value[name]) for name in ("peak_megabytes", "megabytes"))
+    return [f"about {duration(seconds)}, {memory} of memory", f"{files} as PNG, {duration(value['preview'])} per preview"]

@@ -12,7 +12,6 @@ import platform
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,8 +19,9 @@ from urllib.parse import urlsplit
 import bpy
 
 from ..core.errors import SnergError
-from ..core.jobs.task import ThreadTask
+from ..core.progress import Progress
 from .preferences import flamenco_url
+from .questions import Answer, Questions
 
 SECONDS = 3.0  # to wait for each part of an answer of the Manager
 SENDING_SECONDS = 60.0  # the same for a job, which the Manager compiles and stores before it answers
@@ -31,63 +31,15 @@ SCRIPT = Path(__file__).resolve().parents[1] / "farm" / f"{JOB_TYPE}.js"
 LOOPBACK = {"localhost", "127.0.0.1", "::1"}
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What is known of a Manager. text: a sentence for the artist; found: whether one answers; ready: whether it has the job type."""
-
-    text: str
-    found: bool = False
-    ready: bool = False
-
-    @property
-    def icon(self) -> str:
-        """Blender's name of the icon beside it."""
-        return "CHECKMARK" if self.ready else "ERROR" if self.found else "INFO"
-
-
-_answers: dict[str, Answer] = {}
-_questions: dict[str, ThreadTask] = {}
-
-
 def manager() -> Answer | None:
     """What is known of the Manager that the preferences name; None where they name none. It is asked once a session, in a thread."""
     url = flamenco_url()
-    if not url:
-        return None
-    if url not in _answers:
-        _answers[url] = Answer(f"Asking {url} ...")
-        try:
-            check_url(url)
-        except SnergError as error:
-            _answers[url] = Answer(str(error))
-        else:
-            _questions[url] = ThreadTask(lambda _progress: described(url))
-    return _answers[url]
+    return _managers.answer(url) if url else None
 
 
 def ask_again() -> None:
     """Forget what is known of the preferences' Manager, because it may have been started or changed."""
-    url = flamenco_url()
-    _answers.pop(url, None)
-    _questions.pop(url, None)
-
-
-def poll() -> bool:
-    """Read the answers that have come. Returns whether there are any."""
-    changed = False
-    for url, question in list(_questions.items()):
-        if question.poll():
-            continue
-        _questions.pop(url)
-        _answers[url] = Answer(**question.result) if question.state == "done" else Answer(question.error)
-        changed = True
-    return changed
-
-
-def stop() -> None:
-    """Forget every answer, and wait for none."""
-    _questions.clear()
-    _answers.clear()
+    _managers.forget(flamenco_url())
 
 
 def check_url(url: str) -> None:
@@ -99,15 +51,15 @@ def check_url(url: str) -> None:
         raise SnergError(f"Blender may not connect to {parts.hostname}; turn on Allow Online Access in Preferences > System.")
 
 
-def described(url: str) -> dict[str, Any]:
-    """The fields of the Answer about the Manager at `url`. Raises SnergError where none answers."""
+def described(url: str, progress: Progress) -> Answer:
+    """What the Manager at `url` is. Raises SnergError where none answers."""
     version = request(url, "version")
     name = f"Flamenco Manager {version.get('shortversion') or version.get('version')} at {url}"
     try:
         job_type(url)
     except SnergError as error:
-        return {"text": f"{name}: {error}", "found": True}
-    return {"text": name, "found": True, "ready": True}
+        return Answer(f"{name}: {error}", "unready")
+    return Answer(name, "ready")
 
 
 def job_type(url: str) -> dict[str, Any]:
@@ -179,3 +131,7 @@ def message(error: urllib.error.HTTPError) -> str:
     with contextlib.suppress(ValueError, OSError, KeyError, TypeError):
         return str(json.loads(error.read(MAX_BYTES))["message"]).strip().rstrip(".")[:500]
     return f"{error.code} {error.reason}"
+
+
+_managers = Questions("Asking {} ...", described, "absent", check_url)
+poll, stop = _managers.poll, _managers.stop

@@ -19,7 +19,8 @@ from typing import Any
 import bpy
 
 from ..core.errors import SnergError
-from ..core.io.files import cannot_write, json_bytes, read_json, write_bytes
+from ..core.io.files import cannot_write, write_bytes
+from ..core.io.json_files import json_bytes, read_json
 from ..core.progress import Progress, silent
 from .folder_pattern import folder_of_pattern, safe_name
 from .preferences import project_pattern

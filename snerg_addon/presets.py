@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..core.baking.bake import BakeSettings
+from ..core.units import duration, file_size
 from . import estimate_panel
 
 
@@ -48,4 +49,4 @@ def takes(preset: Preset, context: bpy.types.Context) -> str:
     if found is None:
         return f"{training} to train, {preset.resolution} voxels"
     seconds = found["bake_seconds"] + found["seconds"].get("refine", 0.0)
-    return f"{training} + {seconds:.0f} s, {found['megabytes']:.0f} MB"
+    return f"{training} + {duration(seconds)}, {file_size(1e6 * found['megabytes'])}"

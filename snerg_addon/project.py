@@ -17,7 +17,8 @@ from typing import Any
 import bpy
 
 from ..core.artifact import is_dataset
-from ..core.io.files import cannot_write, folder_bytes, json_bytes, write_bytes
+from ..core.io.files import cannot_write, folder_bytes, write_bytes
+from ..core.io.json_files import json_bytes
 from .owner import OWNER, absolute_path, cached_json, project_folder
 
 VERSIONS = {"field": ("fields", "field.npz"), "scene": ("scenes", "scene.json")}

@@ -12,7 +12,8 @@ import bpy
 from ..core.data.rig import RigSettings, rig_cameras
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
-from ..core.io.files import json_bytes, read_json, write_bytes
+from ..core.io.files import write_bytes
+from ..core.io.json_files import json_bytes, read_json
 from ..core.jobs import folder as folders
 from ..core.jobs.protocol import job_reporter, own_folder, run_job
 from ..core.jobs.runner import LAUNCHER, Job, job_environment

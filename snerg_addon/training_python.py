@@ -4,45 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import subprocess
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import IO
 
 from ..core.errors import SnergError
 from ..core.jobs.runner import Job, command_line, environment_of, start_command
+from ..core.progress import Progress
 from .preferences import training_python
+from .questions import Answer, Questions
 
 PATIENCE = 120.0  # seconds to wait for a Python's answer: JAX sets up its devices
+OLDEST = (3, 11)  # version of Python that runs SNeRG
+VERSION = "import sys; print('Python %d.%d' % sys.version_info[:2])"  # a program for any version
 NEEDED = "numpy, pillow, msgpack, jax and optax"
-
-
-@dataclass
-class Answer:
-    """What a Python says of its devices. text: a sentence for the artist; good: whether it can train, None while it is asked."""
-
-    text: str
-    good: bool | None
-
-    @property
-    def icon(self) -> str:
-        """Blender's name of the icon beside it."""
-        return {None: "SORTTIME", True: "CHECKMARK", False: "ERROR"}[self.good]
-
-
-@dataclass
-class _Question:
-    """A Python that is being asked: its process, and the file of its output."""
-
-    process: subprocess.Popen[bytes]
-    output: IO[bytes]
-    asked_at: float
-
-
-_answers: dict[str, Answer] = {}
-_questions: dict[str, _Question] = {}
 
 
 def start_training(arguments: Sequence[str]) -> Job:
@@ -51,82 +28,67 @@ def start_training(arguments: Sequence[str]) -> Job:
     Raises SnergError when that Python does not exist, or has said that it cannot train.
     """
     python = training_python()
-    if python in _answers and _answers[python].good is False:
-        raise SnergError(f"The Python for training, {python}, does not serve: {_answers[python].text}")
+    answer = _pythons.known(python)
+    if answer is not None and answer.state == "unready":
+        raise SnergError(f"The Python for training, {python}, does not serve: {answer.text}")
     return start_command(arguments, python or None)
 
 
 def devices() -> Answer | None:
     """What the preferences' Python says of its devices; None where they name none. It is asked once a session, in a process of its own."""
     python = training_python()
-    if not python:
-        return None
-    if python not in _answers:
-        _answers[python] = _ask(python)
-    return _answers[python]
+    return _pythons.answer(python) if python else None
 
 
 def ask_again() -> None:
     """Forget the answer of the preferences' Python, because its packages may have changed."""
-    python = training_python()
-    _answers.pop(python, None)
-    if question := _questions.pop(python, None):
-        _end(question)
+    _pythons.forget(training_python())
 
 
-def _ask(python: str) -> Answer:
-    output = tempfile.TemporaryFile()  # noqa: SIM115 (closed in _end)
-    try:
-        process = subprocess.Popen(
-            command_line(["info", "--devices", "--json"], python),
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=environment_of(python),
-            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
-        )
-    except OSError as error:
-        output.close()
-        return Answer(
-            f"{python} cannot be started ({error.strerror or error}); choose a Python's program file, such as bin/python3.", False
-        )
-    _questions[python] = _Question(process, output, time.monotonic())
-    return Answer("Asking it which devices it has ...", None)
+def _ask(python: str, progress: Progress) -> Answer:
+    """Which devices a Python has. Raises SnergError where it cannot train."""
+    said = _last_line([python, "-c", VERSION], python, progress)
+    version = re.fullmatch(r"Python (\d+)\.(\d+)", said)
+    if version is None:
+        raise SnergError(f"{python} is no Python ({said[:200]}); choose a Python's program file, such as bin/python3.")
+    if (int(version[1]), int(version[2])) < OLDEST:
+        raise SnergError(f"It is {said}, and SNeRG needs Python {OLDEST[0]}.{OLDEST[1]} or newer; choose another.")
+    said = _last_line(command_line(["info", "--devices", "--json"], python), python, progress)
+    with contextlib.suppress(ValueError, TypeError, KeyError):
+        report = json.loads(said)
+        return Answer(str(report["training"]), "unready" if report["platform"] is None else "ready")
+    raise SnergError(f"It cannot run SNeRG ({said[:200]}); install {NEEDED} in it, or choose another.")
 
 
-def poll() -> bool:
-    """Read the answers that have come. Returns whether there are any."""
-    changed = False
-    for python, question in list(_questions.items()):
-        late = time.monotonic() - question.asked_at > PATIENCE
-        if question.process.poll() is None and not late:
-            continue
-        question.output.seek(0)
-        lines = question.output.read().decode(errors="replace").strip().splitlines() or ["it says nothing"]
-        answer = Answer(f"It does not answer within {PATIENCE:.0f} seconds; choose another Python.", False)
-        _answers[python] = answer if late else _read(lines[-1])
-        _end(_questions.pop(python))
-        changed = True
-    return changed
+def _last_line(command: Sequence[str], python: str, progress: Progress) -> str:
+    """The last line that a command prints. Raises SnergError where it cannot be started or takes longer than PATIENCE."""
+    began = time.monotonic()
+    with tempfile.TemporaryFile() as output:
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=environment_of(python),
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            )
+        except OSError as error:
+            reason = error.strerror or error
+            raise SnergError(f"{python} cannot be started ({reason}); choose a Python's program file, such as bin/python3.") from error
+        try:
+            while process.poll() is None:
+                progress(0.0, "Asking")
+                if time.monotonic() - began > PATIENCE:
+                    raise SnergError(f"It does not answer within {PATIENCE:.0f} seconds; choose another Python.")
+                time.sleep(0.05)
+        finally:
+            process.kill()
+            process.wait()
+        output.seek(0)
+        lines = output.read().decode(errors="replace").strip().splitlines()
+    return lines[-1].strip() if lines else "it says nothing"
 
 
-def _read(line: str) -> Answer:
-    """The answer in the last line of its output."""
-    with contextlib.suppress(ValueError, TypeError):
-        report = json.loads(line)
-        return Answer(str(report["training"]), report["platform"] is not None)
-    return Answer(f"It cannot run SNeRG ({line.strip()[:200]}); install {NEEDED} in it, or choose another.", False)
-
-
-def _end(question: _Question) -> None:
-    if question.process.poll() is None:
-        question.process.kill()
-    question.process.wait()
-    question.output.close()
-
-
-def stop() -> None:
-    """Ask no longer."""
-    while _questions:
-        _end(_questions.popitem()[1])
-    _answers.clear()
+_pythons = Questions("Asking it which devices it has ...", _ask, "unready")
+poll, stop = _pythons.poll, _pythons.stop

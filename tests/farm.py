@@ -41,6 +41,9 @@ def arguments(command: dict[str, Any]) -> list[str]:
     given = {**command["parameters"]}
     if command["name"] == "exec":
         return [filled(given["exe"]), *map(filled, given["args"])]
+    if command["name"] == "frames-to-video":
+        rate = ["-r", f"{given['fps']:g}"]
+        return [given["exe"], *rate, "-pattern_type", "glob", "-i", given["inputGlob"], *given["args"], *rate, given["outputFile"]]
     assert command["name"] == "blender-render", command
     before = [*shlex.split(filled(given["exeArgs"])), *given["argsBefore"]]
     return [filled(given["exe"]), *map(filled, [*before, given["blendfile"], *given["args"]])]

@@ -9,6 +9,7 @@ import pytest
 CORE = Path(__file__).parent.parent / "core"
 ROOMS = (
     "errors",
+    "units",
     "progress",
     "io",
     "jobs",

@@ -101,3 +101,15 @@ def test_estimates_are_compared_and_coefficients_fitted(dataset, tmp_path):
     assert "| field | voxels | samples |" in result.stdout and "| `preview_factor` | 0.85 |" in result.stdout
     value = json.loads((tmp_path / "out" / "estimate.json").read_text())
     assert len(value["rows"]) == 3 and value["fitted_to"]["preview_factor"] == 3 and value["coefficients"]["ray_overhead"] == 6
+
+
+@pytest.mark.slow
+def test_a_preset_is_estimated_and_measured(dataset, tmp_path):
+    pytest.importorskip("jax")
+    short = ("--presets", "DRAFT", "--minutes", "0.1", "--resolution", "16")
+    result = run(dataset, *short, "--out", tmp_path / "out", bench="presets")
+    assert result.returncode == 0, result.stderr
+    assert f"| {dataset.name} | Draft |" in result.stdout and "Estimated / measured" in result.stdout
+    (row,) = json.loads((tmp_path / "out" / "presets.json").read_text())["rows"]
+    _, estimated, took, _ = row["found"]["training"]
+    assert estimated > 6 and took > 6 and row["found"]["bake"][2] > 0 and row["found"]["steps"][2] > 0

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from snerg.core.baking.bake import BakeSettings
 from snerg.core.commands.bake import bake_scene
 from snerg.core.commands.train import train_field
 from snerg.core.export.scene_files import read_scene
+from snerg.core.io.images import write_png
 
 FRAMES = {"work": "frames", "blendfile": "/s/a.blend", "scene": "Shot", "frames": "1-20", "chunk_size": 7, "fps": 25}
 FRAMES |= {"render_output": "/s/{timestamp}/######", "video": True, "image_file_extension": ".png"}
@@ -69,6 +71,23 @@ def test_frames_are_chunks_then_a_check_and_a_video():
     two = compiled(**{**FRAMES, "frames": "3,4,9", "chunk_size": 2})
     assert names(two) == ["render-3,4", "render-9", "check-frames"]
     assert arguments(two["tasks"][0]["commands"][0])[-1] == "3,4"
+
+
+def test_the_join_makes_a_film_of_every_frame(tmp_path):
+    av, ffmpeg = pytest.importorskip("av"), shutil.which("ffmpeg")
+    if ffmpeg is None:
+        pytest.skip("FFmpeg makes the film, and is not here")
+    job = compiled(**{**FRAMES, "blendfile": "/s/shot.blend", "render_output": str(tmp_path / "it's {timestamp}" / "######")})
+    folder = tmp_path / "it's 2026-01-31_120000"
+    for number in range(1, 21):
+        write_png(folder / f"{number:06d}.png", np.full((45, 61, 3), 10 * number, np.uint8))  # H.264 stores even numbers of pixels
+    for _ in range(2):  # a join that is killed runs again, over what it left
+        subprocess.run([ffmpeg, *arguments(job["tasks"][-1]["commands"][1])[1:]], check=True, capture_output=True)
+    with av.open(str(folder / "shot.mp4")) as film:
+        frames = [frame.to_ndarray(format="gray") for frame in film.decode(video=0)]
+        assert film.streams.video[0].average_rate == 25
+    assert len(frames) == 20 and frames[0].shape == (46, 62)
+    assert [round(float(frame[20, 20]) / 10) for frame in frames] == list(range(1, 21))
 
 
 def test_each_bake_is_a_task_and_the_join_opens_all():

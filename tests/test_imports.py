@@ -11,6 +11,9 @@ JAX_MODULES = {
     f"snerg.core.{name}"
     for name in (
         "baking.fine_tune",
+        "study.measure",
+        "study.prepare",
+        "study.results",
         "study.study",
         "study.sweep",
         "training.hierarchical_sampler",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
-from ..io.files import json_bytes
+from ..io.json_files import json_bytes
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within

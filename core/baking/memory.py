@@ -16,6 +16,7 @@ from ..nerf.field import Field
 from ..nerf.volume_rendering import optical_depth
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, blocks_in_ranges
 from ..scene.voxel_grid import VoxelGrid
+from ..units import file_size
 
 FIXED_BYTES = 600 * 2**20  # memory that does not depend on the resolution: JAX, the field, the chunks being worked on
 PEAK_FACTOR = 1.15  # peak memory of a bake by that of its atlas: masks, and the coarse scene that is marched for visibility
@@ -44,7 +45,7 @@ def check_memory(field: Field, box: Box, voxel_grid: VoxelGrid, voxel_bytes: int
         middle = (low + high) // 2
         tried = VoxelGrid.inside(box, float(box.size.max()) / middle)
         low, high = (middle, high) if bytes_needed(count_blocks(points, tried), voxel_bytes) <= available else (low, middle)
-    gigabytes = f"about {needed / 2**30:.1f} GB of memory, and {available / 2**30:.1f} GB are free"
+    gigabytes = f"about {file_size(needed)} of memory, and {file_size(available)} are free"
     if low < 2:
         raise SnergError(f"Baking needs {gigabytes}; close other programs, or make the box smaller.")
     raise SnergError(f"A bake of {max(voxel_grid.shape) - 2} voxels along the longest side needs {gigabytes}; choose at most {low}.")

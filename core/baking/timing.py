@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from ..progress import Progress
+from ..units import duration
 
 TRUSTED_SECONDS, TRUSTED_FRACTION = 2.0, 0.02  # done before the remaining time is estimated: it would jump about
 
@@ -23,7 +24,7 @@ class TimeLeft:
         gone, done = now - self.first[0], fraction - self.first[1]
         if gone > TRUSTED_SECONDS and done > TRUSTED_FRACTION:
             left = gone * (1 - fraction) / done
-            what += f", {left:.0f} s left" if left < 100 else f", {left / 60:.0f} min left"
+            what += f", {duration(max(round(left), 1))} left"
         self.progress(fraction, what)
 
 

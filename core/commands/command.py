@@ -8,21 +8,38 @@ import json
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ..artifact import Result
 from ..progress import Progress
+from ..units import duration, file_size
 
 LONGEST_CELL = 160  # characters of a value in `table`: about two lines of a terminal
+UNITS: dict[str, tuple[str, Callable[[float], str]]] = {  # unit in a key: what is read in its place, and how a number is written
+    "seconds": ("time", duration),
+    "megabytes": ("size", lambda megabytes: file_size(1e6 * megabytes)),
+    "bytes": ("size", file_size),
+}
 
 
 def table(result: Result) -> str:
-    """A result as text for people, one value a line; values longer than LONGEST_CELL are left to --json."""
-    width = max((len(key) for key in result), default=0)
-    lines = []
-    for key, value in result.items():
-        text = json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
-        lines.append(f"{key.replace('_', ' '):<{width}}  {text if len(text) <= LONGEST_CELL else '… (see --json)'}")
-    return "\n".join(lines)
+    """A result as text for people, one value a line, times and sizes in the unit that suits. Long values are left to --json."""
+    cells = [_cell(key, value) for key, value in result.items()]
+    width = max((len(name) for name, _ in cells), default=0)
+    return "\n".join(f"{name:<{width}}  {text if len(text) <= LONGEST_CELL else '… (see --json)'}" for name, text in cells)
+
+
+def _cell(key: str, value: Any) -> tuple[str, str]:
+    """The name and the text of a value of a result."""
+    words = key.split("_")
+    if unit := next((word for word in words if word in UNITS), None):
+        name, write = UNITS[unit]
+        words[words.index(unit)] = name
+        if isinstance(value, int | float):
+            return " ".join(words), write(value)
+        if isinstance(value, dict) and all(isinstance(part, int | float) for part in value.values()):
+            return " ".join(words), ", ".join(f"{part} {write(number)}" for part, number in value.items())
+    return " ".join(words), json.dumps(value) if isinstance(value, dict | list) else "—" if value is None else str(value)
 
 
 @dataclass(frozen=True)

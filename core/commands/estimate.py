@@ -14,7 +14,7 @@ from ..errors import SnergError, needs_jax
 from ..geometry.box import Box
 from ..progress import Progress, silent
 from ..training.config import PRESETS, TrainSettings
-from .command import Command
+from .command import Command, table
 from .options import add_bake_options, artifact, count, positive
 from .options import path as path_argument
 from .train import settings_of
@@ -99,4 +99,9 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     return estimate(options.path, training, settings, options.box, options.refine, size, probe=options.probe, progress=progress)
 
 
-COMMAND = Command("estimate", "estimate the time and memory of a training or a bake on this machine", add_options, run)
+def text(result: Result) -> str:
+    """The table, in which the times of the preview are named as such."""
+    return table({f"{key}_seconds" if key in ("preview", "tables") else key: value for key, value in result.items()})
+
+
+COMMAND = Command("estimate", "estimate the time and memory of a training or a bake on this machine", add_options, run, text)

@@ -19,9 +19,10 @@ from ..export.reference import read_reference
 from ..export.reference_params import read_params
 from ..export.scene_files import codec_of, is_scene, read_scene
 from ..geometry.camera import Camera
-from ..io.files import folder_bytes, read_json
+from ..io.files import folder_bytes
 from ..io.generation import one_generation
 from ..io.guard import reading
+from ..io.json_files import read_json
 from ..io.schema import record
 from ..nerf.field import Field
 from ..progress import Progress, silent

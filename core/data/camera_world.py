@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
-from ..io.files import read_edited_json
+from ..io.json_files import read_edited_json
 from ..io.schema import positive
 from .load import read_dataset
 

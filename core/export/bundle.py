@@ -16,8 +16,9 @@ from typing import Any
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
-from ..io.files import MARK, json_bytes, new_folder, read_json
+from ..io.files import MARK, new_folder
 from ..io.generation import one_generation
+from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings

@@ -18,10 +18,11 @@ from ..errors import SnergError
 from ..geometry.camera import Camera, rigid
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import json_bytes, new_folder
+from ..io.files import new_folder
 from ..io.generation import one_generation
 from ..io.guard import reading
 from ..io.images import png_bytes, read_image, read_size
+from ..io.json_files import json_bytes
 from ..io.paths import check_own
 from ..io.schema import flag, number, pose, positive, whole
 from ..progress import Progress, silent

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.camera import Camera, focal_from_angle
 from ..geometry.ndc import Ndc
-from ..io.files import read_json
 from ..io.guard import why
+from ..io.json_files import read_json
 from ..io.schema import FAR, number, numbers, shown, whole
 from ..nerf.model import SHAPES, ViewNetwork
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS

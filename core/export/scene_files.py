@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_scene
-from ..io.files import json_bytes, new_folder
+from ..io.files import new_folder
 from ..io.generation import one_generation
 from ..io.guard import reading
 from ..io.images import png_bytes
+from ..io.json_files import json_bytes
 from ..io.paths import check_own
 from ..io.schema import flag, number, pose, positive, record, rotation, whole
 from ..progress import Progress, silent

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SnergError
-from ..io.files import read_json
+from ..io.json_files import read_json
 from ..io.schema import flag, number, numbers, record, shown
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import SHAPES, ViewNetwork

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SnergError
-from ..io.files import read_json
+from ..io.json_files import read_json
 from .camera import rigid
 
 MAX_SHEAR = 1e-4  # largest cosine between two sides of a box; rounding in Blender's float32 matrices gives less

@@ -1,10 +1,9 @@
-"""Files and folders that are written whole or not at all, also after a kill or a power cut (hard case 60), and JSON."""
+"""Files and folders that are written whole or not at all, also after a kill or a power cut (hard case 60)."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import json
 import os
 import platform
 import re
@@ -22,9 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SnergError
-from .guard import check_file, reading, why
 
-MAX_JSON_BYTES = 2**25  # about 30,000 cameras; parsed JSON takes up to thirty times its size in memory
 MARK = ".snerg"  # file in every folder that SNeRG writes, from the start: only folders that contain it are replaced or deleted
 MARK_TEXT = "Written by SNeRG for Blender; replaced whole by the next export here.\n"
 HALF_MARK = re.compile(r"\.\.snerg\.[0-9a-f]{8}\.part")  # the only content of our folder if its process was killed while writing MARK
@@ -259,44 +256,6 @@ def check_replaceable(path: Path) -> None:
         os.rmdir(tempfile.mkdtemp(prefix=".snerg-", dir=parent))  # os.access is not enough: it is always true for root
     except OSError as error:
         raise SnergError(f"Cannot write {path} ({parent} is not a folder that you can write to); choose another.") from error
-
-
-def read_json(path: Path) -> Any:
-    """The value of a JSON file. Raises SnergError when it is missing, not a regular file, larger than MAX_JSON_BYTES, or not JSON."""
-    check_file(path, MAX_JSON_BYTES)
-    with reading(path, "write it again"):
-        text = path.read_bytes()
-        try:
-            return json.loads(text.decode("utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise SnergError(f"{path} is not valid JSON ({why(error)}); write it again.") from error
-
-
-def read_edited_json(path: Path) -> Any:
-    """As `read_json`, for files that people edit: with a byte order mark, in UTF-16, or with comments as in C (instant-ngp reads them)."""
-    check_file(path, MAX_JSON_BYTES)
-    with reading(path, "write it again"):
-        data = path.read_bytes()
-        try:
-            encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-            text = data.decode(encoding)
-            try:
-                return json.loads(text)
-            except ValueError:
-                return json.loads(COMMENT.sub(lambda match: match[1] or " ", text))
-        except (ValueError, RecursionError) as error:
-            raise SnergError(f"{path} is not valid JSON ({why(error)}); write it again.") from error
-
-
-COMMENT = re.compile(r'("(?:[^"\\]|\\.)*")|//[^\n]*|/\*.*?\*/', re.DOTALL)  # a string, which stays, or a comment
-
-
-def json_bytes(value: Any) -> bytes:
-    """A value as JSON, UTF-8. Raises SnergError when it contains NaN or infinity, which JSON does not have (hard case 59)."""
-    try:
-        return (json.dumps(value, allow_nan=False, indent=1) + "\n").encode()
-    except ValueError as error:
-        raise SnergError(f"A value that would be written is not finite ({error}); nothing was written.") from error
 
 
 def folder_bytes(path: Path) -> int:

@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import SnergError
-from ..io.files import cannot_write, json_bytes
+from ..io.files import cannot_write
+from ..io.json_files import json_bytes
 from ..io.lock import try_lock
 
 VARIABLE = "SNERG_JOB"  # environment variable of a job's process: its folder

@@ -14,8 +14,9 @@ from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..geometry.ndc import Ndc
 from ..io.about import check_about_field
-from ..io.files import MARK, json_bytes, write_arrays, write_bytes
+from ..io.files import MARK, write_arrays, write_bytes
 from ..io.guard import read_arrays, reading
+from ..io.json_files import json_bytes
 from ..io.schema import numbers, positive, record, shown, text, whole
 from .field import Field
 from .hash_grid import HashGrid

@@ -14,6 +14,8 @@ from typing import Any
 # time, memory and bytes were all within 25 %, and 15 of those of a preview's time.
 BENCH = "bench-estimate, five fields at 128 to 512 voxels"
 BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
+PRESETS = "by hand from bench-presets, three fields at 128 and 256 voxels, and Lego at 512"
+SET_UP = "by hand from two trainings of one step: 21 s of the processor, 12 s of them, the compiling, on two cores"
 TRAININGS = "by hand from single trainings; bench-estimate does not refit it"
 
 
@@ -39,9 +41,10 @@ class Coefficients:
     voxel_bytes_decay: float = _coefficient(
         0.06, "exponent", "power of the resolution by which a voxel's PNG bytes fall: neighbours are more alike", BENCH
     )
-    process_bytes: float = _coefficient(330e6, "bytes", "memory of a bake, whatever its size", BENCH)
+    process_bytes: float = _coefficient(370e6, "bytes", "memory of a bake, whatever its size", PRESETS)
+    refine_bytes: float = _coefficient(45e6, "bytes", "memory that fine-tuning adds: its pixels, and JAX's compiled steps", PRESETS)
     cell_copies: float = _coefficient(
-        3.0, "", "memory of a bake over the bytes of its atlas: the atlas, the file that resumes the bake, and images to store", BENCH
+        2.7, "", "memory of a bake over the bytes of its atlas: the atlas, the file that resumes the bake, and images to store", PRESETS
     )
     refine_seconds: float = _coefficient(2.0, "s", "of fitting the view-dependence network after its pixels are marched", BY_HAND)
     refine_pixels: float = _coefficient(
@@ -51,10 +54,10 @@ class Coefficients:
         4.0, "queries", "time of a sample of a training step in queries of the field: forward, backward and the optimizer", TRAININGS
     )
     set_up_seconds: float = _coefficient(
-        8.0, "s", "before the first training step, apart from reading images: the visual hull and compiling", TRAININGS
+        15.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
-    training_bytes: float = _coefficient(750e6, "bytes", "memory of a training, whatever its images", TRAININGS)
-    pixel_bytes: float = _coefficient(8.0, "bytes", "memory of a training for each pixel of its images", TRAININGS)
+    training_bytes: float = _coefficient(820e6, "bytes", "memory of a training, whatever its images", PRESETS)
+    pixel_bytes: float = _coefficient(10.0, "bytes", "memory of a training for each pixel of its images", PRESETS)
 
 
 DEFAULT_COEFFICIENTS = Coefficients()

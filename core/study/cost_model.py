@@ -38,7 +38,7 @@ class Estimate:
     """What a bake, its files and a preview take. The names are keys of what `snerg estimate --json` prints."""
 
     seconds: dict[str, float]  # of each stage of the bake
-    peak_megabytes: float  # of memory during the bake
+    peak_megabytes: float  # of memory during the bake and its fine-tuning
     megabytes: float  # of the scene stored as PNG
     preview: float  # seconds of a rendered picture
     tables: float  # seconds of building the acceleration structure, before the first picture
@@ -96,12 +96,14 @@ def estimate(
     channels = DIFFUSE_CHANNELS if field.network is None else DEFERRED_CHANNELS  # of the small bake
     png_bytes = counts.kept * rates.kept_voxel_bytes * counts.finer**-coefficients.voxel_bytes_decay * counts.channels / channels
     seconds = _stage_seconds(probe, counts, settings, coefficients)
+    memory = coefficients.process_bytes + coefficients.cell_copies * atlas_bytes
     if refine and counts.channels == DEFERRED_CHANNELS and field.dataset:
+        memory += coefficients.refine_bytes
         marched = rates.preview_view * len(field.cameras) + ray * coefficients.refine_pixels
         seconds["refine"] = coefficients.refine_seconds + marched
     return Estimate(
         seconds=seconds,
-        peak_megabytes=(coefficients.process_bytes + coefficients.cell_copies * atlas_bytes) / 1e6,
+        peak_megabytes=memory / 1e6,
         megabytes=(png_bytes if settings.quantise else atlas_bytes) / 1e6,
         preview=rates.preview_view + coefficients.preview_factor * size[0] * size[1] * ray,
         tables=counts.blocks * rates.acceleration_block,

@@ -26,6 +26,7 @@ from ..training.config import TrainSettings
 from ..training.decisions import Decision
 from ..training.losses import plain_colour
 from ..training.silhouette import border_share
+from ..units import duration, file_size
 
 UNKNOWN = "not measured yet"
 VIEW, ALPHA, BACKDROP, NDC = "View dependence", "Alpha", "Backdrop", "NDC"  # as training calls them
@@ -235,11 +236,11 @@ def _codec(codec: CodecSettings | None) -> Decision:
 
 def _view_of(snerg: Scene, decision: Decision) -> Effect:
     if snerg.network is None:
-        return Effect(decision, f"Another {_megabytes(snerg.cells.nbytes)} of memory, and a network once a pixel.", "That.")
+        return Effect(decision, f"Another {file_size(snerg.cells.nbytes)} of memory, and a network once a pixel.", "That.")
     return Effect(
         decision,
-        f"{_megabytes(snerg.cells.nbytes // 2)} of memory for features, and a network once a pixel.",
-        f"Half of {_megabytes(snerg.cells.nbytes)} of memory, the feature images, and the network in the page.",
+        f"{file_size(snerg.cells.nbytes // 2)} of memory for features, and a network once a pixel.",
+        f"Half of {file_size(snerg.cells.nbytes)} of memory, the feature images, and the network in the page.",
     )
 
 
@@ -262,7 +263,7 @@ def _cull_of(snerg: Scene) -> Effect:
         return Effect(Decision(CULL, False, "The bake had no cameras, or culling was off.", None, threshold), *COSTS[CULL])
     share = 1 - voxels["seen"] / max(voxels["held"], 1)
     evidence = f"No camera sees {100 * share:.0f} % of the {voxels['held']} occupied voxels with a transmittance of {threshold:g} or more."
-    costs = f"{bake['seconds']['visibility']:.1f} seconds of the bake."
+    costs = f"{duration(bake['seconds']['visibility'])} of the bake."
     saves = f"That; the scene would then hold about {1 / max(1 - share, 1e-6):.1f} times as many voxels."
     return Effect(Decision(CULL, True, evidence, share, threshold), costs, saves)
 
@@ -274,7 +275,7 @@ def _samples_of(snerg: Scene) -> Effect:
     count, measured = bake["samples"], bake.get("samples_measured", [])
     seconds = bake["seconds"]["prefilter"]
     rest = seconds * (1 - 1 / count)
-    worth = f"{seconds:.1f} seconds of the bake.", f"About {rest:.1f} of them, with 1 sample in place of {count}."
+    worth = f"{duration(seconds)} of the bake.", f"About {duration(rest)} of that, with 1 sample in place of {count}."
     if len(measured) < 2:
         why = "It was set for the bake." if not measured else "There was nothing to measure."
         return Effect(Decision(SAMPLES, str(count), why, None, MIN_GAIN, overridden=not measured), *worth)
@@ -294,8 +295,4 @@ def _refine_of(snerg: Scene) -> Effect:
         return Effect(unknown(REFINE, f"The network is not fine-tuned ({why}).", 0.0), *COSTS[REFINE])
     gain, seconds = report["gain_db"], sum(report["seconds"].values())
     evidence = f"{report['psnr_before']:.2f} to {report['psnr_after']:.2f} dB on held-out pixels, {gain:+.2f} dB (any gain is kept)."
-    return Effect(Decision(REFINE, gain > 0, evidence, gain, 0.0), f"{seconds:.1f} seconds after the bake.", f"{seconds:.1f} seconds.")
-
-
-def _megabytes(count: int) -> str:
-    return f"{count / 1e6:.1f} MB"
+    return Effect(Decision(REFINE, gain > 0, evidence, gain, 0.0), f"{duration(seconds)} after the bake.", f"{duration(seconds)}.")

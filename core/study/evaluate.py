@@ -18,8 +18,9 @@ from ..data.dataset import Dataset, DatasetOptions
 from ..data.load import read_dataset, read_split
 from ..errors import SnergError, needs_jax
 from ..geometry.camera import Camera
-from ..io.files import check_replaceable, json_bytes, new_folder
+from ..io.files import check_replaceable, new_folder
 from ..io.images import over, png_bytes, to_uint8
+from ..io.json_files import json_bytes
 from ..io.lock import writes_out
 from ..nerf.field import Field
 from ..nerf.frame import Frame

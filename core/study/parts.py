@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..io.files import json_bytes, read_json, write_bytes
+from ..io.files import write_bytes
+from ..io.json_files import json_bytes, read_json
 from ..io.lock import one_writer
 from .machine import describe_machine
 from .plan import Part

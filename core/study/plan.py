@@ -11,7 +11,7 @@ from typing import Any
 from ..baking.bake import AUTO_SUPERSAMPLING, BAKE_VERSION, BakeSettings
 from ..errors import SnergError
 from ..export.codecs import PNG, CodecSettings
-from ..io.files import json_bytes
+from ..io.json_files import json_bytes
 from ..rendering.render import MarchSettings
 
 COARSE_SHARES = (0.25, 0.375, 0.5, 0.75)  # of the baseline's resolution, measured first because they are quick

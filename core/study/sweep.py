@@ -25,9 +25,10 @@ from ..export.scene_files import read_scene, write_scene
 from ..export.scene_json import MAX_WEIGHT
 from ..geometry.box import Box
 from ..geometry.camera import Camera
-from ..io.files import folder_bytes, json_bytes, read_json, write_arrays, write_bytes
+from ..io.files import folder_bytes, write_arrays, write_bytes
 from ..io.guard import read_arrays, reading
 from ..io.images import over, to_uint8, write_png
+from ..io.json_files import json_bytes, read_json
 from ..io.schema import number, numbers, record, text
 from ..nerf.field import Field
 from ..nerf.frame import Frame

@@ -13,7 +13,8 @@ from typing import Any
 
 from ..data.dataset import Dataset
 from ..errors import SnergError
-from ..io.files import json_bytes, put_in_place
+from ..io.files import put_in_place
+from ..io.json_files import json_bytes
 from ..nerf.checkpoint import FILE, is_field, read_field, read_field_and_state
 from ..nerf.field import Field
 from .config import TrainSettings

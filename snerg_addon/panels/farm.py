@@ -22,7 +22,7 @@ class SNERG_PT_farm(SidebarPanel, bpy.types.Panel):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a Manager answers."""
         answer = flamenco.manager()
-        return answer is not None and answer.found
+        return answer is not None and answer.state in ("ready", "unready")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Which Manager it is, and a button for each kind of work."""
@@ -31,7 +31,7 @@ class SNERG_PT_farm(SidebarPanel, bpy.types.Panel):
             return
         draw_sentence(self.layout.column(align=True), answer.text, answer.icon)
         column = self.layout.column(align=True)
-        column.enabled = answer.ready
+        column.enabled = answer.state == "ready"
         for work, text, icon in BUTTONS:
             column.operator("snerg.send_to_flamenco", text=text, icon=icon).work = work
         self.layout.operator("snerg.ask_flamenco", icon="FILE_REFRESH")

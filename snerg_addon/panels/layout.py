@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import bpy
 
+from ...core.units import file_size
 from ..project import project_of
 
 LINE_WIDTH = 38  # characters of a line in a box that fit into the sidebar at its default width
@@ -77,9 +78,9 @@ def draw_sentence(layout: bpy.types.UILayout, sentence: str, icon: str) -> None:
 
 
 def megabytes(note: dict[str, Any]) -> str:
-    """'12.3 MB'; '' where the size is not known."""
+    """'12 MB'; '' where the size is not known."""
     size = note.get("bytes")
-    return f"{size / 1e6:.1f} MB" if isinstance(size, int | float) else ""
+    return file_size(size) if isinstance(size, int | float) else ""
 
 
 def decibels(note: dict[str, Any]) -> str:

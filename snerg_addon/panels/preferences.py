@@ -10,6 +10,7 @@ import bpy
 from .. import flamenco, training_python
 from ..folder_pattern import DEFAULT, problem
 from ..preferences import ADDON, FLAMENCO_URL, GPU_MEGABYTES
+from ..questions import Answer
 
 LINE_WIDTH = 80  # characters of a line that fit into the preferences' window at its default width
 
@@ -62,7 +63,7 @@ class SNERG_AP_preferences(bpy.types.AddonPreferences):
             draw_answer(self.layout, flamenco.manager())
 
 
-def draw_answer(layout: bpy.types.UILayout, answer: training_python.Answer | flamenco.Answer | None) -> None:
+def draw_answer(layout: bpy.types.UILayout, answer: Answer | None) -> None:
     """A sentence, on as many lines as it takes."""
     if answer is not None:
         column = layout.column(align=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...core.errors import SnergError
+from ...core.units import file_size
 from .. import packing
 from ..originals import hidden_in
 from ..scene_object import folder_of, is_own, is_snerg_object, problem_of, source_of
@@ -66,7 +67,7 @@ class SNERG_PT_object(bpy.types.Panel):
             draw_box(
                 layout,
                 f"{kind}, {voxels} voxels in {len(entry.scene.cells)} blocks",
-                f"{card.memory() / 2**20:.1f} MB of graphics memory in all",
+                f"{file_size(card.memory())} of graphics memory in all",
             )
 
 

@@ -35,7 +35,7 @@ def manager(chosen, tmp_path):
 def answer():
     """What the Manager says of itself, when it has come."""
     end = time.monotonic() + 20
-    while (said := flamenco.manager()).text.startswith("Asking") and time.monotonic() < end:
+    while (said := flamenco.manager()).state == "asked" and time.monotonic() < end:
         time.sleep(0.01)
         flamenco.poll()
     return said
@@ -47,20 +47,20 @@ def send(**settings):
 
 def test_a_manager_is_found_and_asked_once(manager):
     began = time.monotonic()
-    assert not flamenco.manager().found and time.monotonic() - began < 0.5, "the window does not wait"
+    assert flamenco.manager().state == "asked" and time.monotonic() - began < 0.5, "the window does not wait"
     said = answer()
-    assert said.found and said.ready and "Flamenco Manager 3.7" in said.text and flamenco.manager() is said
+    assert said.state == "ready" and "Flamenco Manager 3.7" in said.text and flamenco.manager() is said
     manager.known = False
     flamenco.ask_again()
     said = answer()
-    assert said.found and not said.ready and str(flamenco.SCRIPT) in said.text and flamenco.SCRIPT.is_file()
+    assert said.state == "unready" and str(flamenco.SCRIPT) in said.text and flamenco.SCRIPT.is_file()
 
 
 @pytest.mark.parametrize("url", ["ftp://localhost:8080", "localhost:8080", "http://", "nonsense", "http://farm.example:8080"])
 def test_an_address_where_no_manager_can_be_is_said(chosen, url):
     chosen(url)
     said = flamenco.manager()
-    assert not said.found and ("is no address of a Flamenco Manager" in said.text or "Allow Online Access" in said.text)
+    assert said.state == "absent" and ("is no address of a Flamenco Manager" in said.text or "Allow Online Access" in said.text)
 
 
 def test_what_does_not_answer_is_said_within_the_limit(chosen, monkeypatch):

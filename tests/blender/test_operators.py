@@ -94,14 +94,14 @@ def test_what_a_bake_takes_is_said_as_the_box_is_dragged(scene, dataset):
     assert estimate_panel.lines(bpy.context) == []
     assert bpy.ops.snerg.estimate() == {"FINISHED"}
     whole = estimate_panel.lines(bpy.context)
-    assert "GB of memory" in whole[0] and "MB as PNG" in whole[1]
+    assert "B of memory" in whole[0] and "B as PNG" in whole[1]
     assert estimate_panel.probe_of(project) is estimate_panel.probe_of(project), "read once"
     scene.snerg.resolution = 512
     assert estimate_panel.lines(bpy.context) != whole
     bpy.ops.snerg.add_box()
     scene.snerg.box.location.x += 1000
     bpy.context.view_layer.update()
-    assert estimate_panel.lines(bpy.context)[1].startswith("0 MB")
+    assert estimate_panel.lines(bpy.context)[1].startswith("0 kB")
     scene.snerg.voxel_size = 1e-9
     (line,) = estimate_panel.lines(bpy.context)
     assert "choose at least" in line, "one sentence, in place of numbers"

@@ -20,7 +20,8 @@ from snerg.core.data.readers.transforms import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import read_scene, write_scene
-from snerg.core.io.files import discard, json_bytes, read_json, write_bytes
+from snerg.core.io.files import discard, write_bytes
+from snerg.core.io.json_files import json_bytes, read_json
 from snerg.core.nerf.checkpoint import read_field_and_state, write_field
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid

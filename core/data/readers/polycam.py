@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import SnergError
-from ...io.files import read_edited_json
+from ...io.json_files import read_edited_json
 from ..dataset import DatasetOptions, Source
 from ..depth import DepthFile
 from ..image_resolver import find_below

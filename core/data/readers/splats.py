@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import SnergError
-from ...io.files import read_edited_json
+from ...io.json_files import read_edited_json
 from ..dataset import DatasetOptions, Source
 from ..image_resolver import has_image_folder, image_folder
 from .photographs import Listed, Photograph, read_photographs

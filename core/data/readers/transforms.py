@@ -19,9 +19,10 @@ from ...geometry import wide
 from ...geometry.box import Box
 from ...geometry.camera import Camera, focal_from_angle, panorama_focal
 from ...geometry.distortion import MODELS, Distortion
-from ...io.files import json_bytes, read_edited_json, write_bytes
+from ...io.files import write_bytes
 from ...io.guard import reading
 from ...io.images import read_size
+from ...io.json_files import json_bytes, read_edited_json
 from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, StatedBox, View
 from ..depth import depth_of_frame, passes_of_frame

@@ -17,9 +17,9 @@ from PIL import Image
 from snerg.core.data.readers.transforms import read_cameras
 from snerg.core.errors import MAX_MESSAGE, Cancelled, SnergError
 from snerg.core.geometry.box import Box
-from snerg.core.io.files import read_json
 from snerg.core.io.guard import read_arrays, reading
 from snerg.core.io.images import read_image, read_mask, read_size
+from snerg.core.io.json_files import read_json
 from snerg.core.nerf.checkpoint import read_field
 
 RAISED = (

@@ -25,6 +25,7 @@ from snerg.core.scene.scene import Scene
 from snerg.core.study.effects import UNKNOWN, Effect, of_dataset, of_field, of_scene
 from snerg.core.training.decisions import Decision, transparency
 from snerg.core.training.ray_dataset import RayDataset
+from snerg.core.units import file_size
 
 GRID = HashModelConfig(HashGrid(levels=2, coarsest=4, finest=8, features=2, log2_size=8), width=8)
 
@@ -112,7 +113,7 @@ def test_a_matte_and_a_glossy_scene():
     assert by_name(matte)["View dependence"].chosen is False and by_name(matte)["Refining"].chosen is False
     assert by_name(glossy)["View dependence"].chosen is True and by_name(glossy)["Refining"].chosen == UNKNOWN
     snerg = make_snerg((31, 30, 33))
-    assert f"{snerg.cells.nbytes / 2e6:.1f} MB" in glossy[0].costs
+    assert file_size(snerg.cells.nbytes // 2) in glossy[0].costs
 
 
 def test_a_scene_says_what_its_bake_measured():
@@ -120,11 +121,11 @@ def test_a_scene_says_what_its_bake_measured():
     trained = {"decisions": [Decision("View dependence", "deferred", "It gains.", 1.0, 0.1).to_json()]}
     effects = {e.decision.effect: e for e in of_scene(baked(make_snerg((31, 30, 33)), refine=refined, trained=trained))}
     cull, samples, refine = effects["Visibility culling"], effects["Samples a voxel"], effects["Refining"]
-    assert cull.decision.measured == pytest.approx(0.25) and cull.costs.startswith("2.0 seconds") and "1.3 times" in cull.saves
+    assert cull.decision.measured == pytest.approx(0.25) and cull.costs.startswith("2 s of the bake") and "1.3 times" in cull.saves
     clear = effects["Transparency"].decision
     assert clear.chosen is False and clear.measured == 0.04 and "is 4 %" in clear.evidence and "10 voxels" in clear.evidence
-    assert samples.decision.chosen == "2" and samples.decision.measured == pytest.approx(0.01) and "2.0 of them" in samples.saves
-    assert refine.decision.measured == 0.5 and refine.costs.startswith("5.0 seconds")
+    assert samples.decision.chosen == "2" and samples.decision.measured == pytest.approx(0.01) and "2 s of that" in samples.saves
+    assert refine.decision.measured == 0.5 and refine.costs.startswith("5 s after")
     assert effects["View dependence"].decision.measured == 1.0 and "It gains." in effects["View dependence"].decision.evidence
     kept = {e.decision.effect: e for e in of_scene(baked(make_snerg((31, 30, 33)), seen=None))}
     assert kept["Visibility culling"].decision.chosen is False

@@ -10,9 +10,11 @@ pytest.importorskip("jax")
 from snerg.core.baking.bake import BakeSettings
 from snerg.core.errors import SnergError
 from snerg.core.io.images import write_png
+from snerg.core.study.inputs import digest
 from snerg.core.study.machine import describe_machine
 from snerg.core.study.plan import Configuration, plan_steps
-from snerg.core.study.study import digest, study, study_results, write_results
+from snerg.core.study.results import study_results, write_results
+from snerg.core.study.study import study
 
 BASELINE = Configuration(BakeSettings(resolution=24))
 PLAN = plan_steps(BASELINE, True, True, True, ["webp", "jpeg"])

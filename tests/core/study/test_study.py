@@ -140,7 +140,7 @@ def test_the_papers_tables_have_all_their_rows(dataset, tmp_path):
 
 @pytest.mark.slow
 def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("snerg.core.study.study"), "LONG_MINUTES", 1.0)
+    monkeypatch.setattr(importlib.import_module("snerg.core.study.prepare"), "LONG_MINUTES", 1.0)
     settings = StudySettings(minutes=2, resolution=16, views=1)
     result = study(dataset, tmp_path / "out", settings=settings)
     value = json.loads((tmp_path / "out" / "study.json").read_text())
