@@ -1,8 +1,8 @@
-"""Fits the voxels of a baked scene, with its network, to the training images through the march (as Plenoxels, CVPR 2022). Uses JAX.
+"""Fits the voxels of a baked scene, with its network, to the training images through the march. Uses JAX.
 
-Colour, features and opacity of the voxels that the training rays sample are moved by Adam. The correction of a voxel is held near 0 and
-near that of its neighbours: most of what single pixels ask for is noise, which other views do not show. A share of the training views is
-kept out; the voxels that are best on those, as they would be stored, are returned.
+As PlenOctrees (Yu et al., ICCV 2021, section 4.2) and Plenoxels (Fridovich-Keil et al., CVPR 2022) do, colour, features and opacity of
+the voxels that training rays sample are moved by Adam. Whole views are kept out, and the voxels that are best on them, as they are
+stored, are returned: so a fit never loses there. Voxels that are 0 stay 0, so that the scene takes as many blocks as before.
 """
 
 from __future__ import annotations
@@ -19,41 +19,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
+from ..errors import SnergError
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import ViewNetwork, as_numpy, view_residual
 from ..progress import Progress, silent, within
-from ..scene.blocks import CELL_VOXELS, block_coordinates, fill_aprons
+from ..rendering.interpolator import CORNER_OFFSETS
+from ..rendering.opacity import opacity_factor
+from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates, fill_aprons
 from ..scene.quantize import quantize
 from ..scene.scene import Scene
+from .fine_tune import MIN_IMPROVEMENT, MIN_PIXELS, VALIDATION_EVERY, psnr
 from .jitter import voxel_uniform
-from .ray_samples import CORNERS, FRACTION_STEPS, MAX_RAY_SAMPLES, RaySamples, record_samples
+from .ray_samples import MAX_RAY_SAMPLES, NO_VOXEL, RaySamples, corners_of, own_voxels, sampled_views, stencil_weights
+
+MARCH_SHARE = 0.3  # of the progress that marching the training views gets
+BATCH_SAMPLES = 12  # samples a ray for which a batch has room, on average
+BETA_1, BETA_2, EPSILON = 0.9, 0.99, 1e-9  # of Adam
+MAX_ALPHA = 0.9999  # of a sample, whose logarithm of transmittance must be finite
+MAX_NUMBER = 2**31 - 1  # of int32, in which JAX numbers voxels
+MIN_ALPHA = 1e-3  # of a voxel, by which premultiplied values are divided
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    rays: int = 1_000_000
-    validation_rays: int = 60_000
-    passes: float = 1.0
-    batch: int = 16384
-    rate: float = 3e-3
-    alpha_rate: float = 1.0
-    feature_rate: float = 1.0
-    network_rate: float = 1e-3
-    final: float = 0.1
-    smooth: float = 0.0
-    anchor: float = 0.0
-    evaluations: int = 8
-    random_background: bool = False
-    beta2: float = 0.99
-    grow: bool = False
-    seed: int = 0
-    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """How voxels are fitted."""
 
-
-RAY_SAMPLES = 12
+    pixels: int = 4_000_000  # of all training views, of which those that hit something are fitted to: bounds the memory and the time
+    passes: int = 2  # over these pixels
+    batch: int = 4096  # rays a step, at most
+    rate: float = 3e-3  # of Adam at the start, of values in [0, 1]; at 2e-2 views that were kept out lose 1.7 dB
+    network_rate: float = 1e-3  # of the network's weights
+    final_rate: float = 0.1  # rates at the end, as a share of those at the start; they decay exponentially
+    evaluations: int = 10  # on the views that are kept out, over the whole fit
+    patience: int = 2  # evaluations without a gain after which it stops
+    seed: int = 0  # of the choice of pixels and their order
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which images with alpha are fitted
 
 
 class Batch(NamedTuple):
+    """Rays [R] and their samples [S]; arrays of always the same shapes, so that a step is compiled once.
+
+    base, fraction: see RaySamples. ray, slot: int32 [S], the sample's ray, and its number on that ray. valid: float32 [S], 0 in samples
+    that fill up the batch. view_directions, pixels: of the rays. used: float32 [R], 0 in rays that fill up the batch.
+    """
+
     base: Any
     fraction: Any
     ray: Any
@@ -62,201 +71,263 @@ class Batch(NamedTuple):
     view_directions: Any
     pixels: Any
     used: Any
-    background: Any
 
 
-def number_voxels(scene: Scene, samples: RaySamples, grow: bool = False) -> tuple[NDArray[Any], NDArray[Any]]:
-    """numbers int32 [M*32^3], own [P] flat index in own-voxels."""
-    M = len(scene.cells)
-    touched = np.zeros(M * CELL_VOXELS**3, bool)
-    for corner in CORNERS:
-        touched[samples.base + corner] = True
-    numbers = np.arange(M * CELL_VOXELS**3, dtype=np.int32).reshape(M, *(CELL_VOXELS,) * 3)
-    own = numbers.copy()
-    edge = np.ones((CELL_VOXELS,) * 3, bool)
-    edge[1:-1, 1:-1, 1:-1] = False
-    own[:, edge] = -1
-    for _ in fill_aprons(own, scene.indirection):
-        pass
-    own = own.reshape(-1)
-    flat = scene.cells.reshape(-1, scene.cells.shape[-1])
-    ok = touched & (own >= 0)
-    if not grow:
-        ok &= flat.any(axis=-1)
-    ids = np.unique(own[ok])
-    rows = np.full(len(own) + 1, len(ids), np.int32)
-    rows[ids] = np.arange(len(ids), dtype=np.int32)
-    return rows[own], ids
+class Fitted(NamedTuple):
+    """What a fit moves. voxels: [P + 1, C], straight colour and features and alpha, in [0, 1]; the last one is empty and stays 0."""
+
+    voxels: Any
+    network: ViewNetwork | None
 
 
-def batches(samples: RaySamples, order: NDArray[Any], settings: FitSettings, rng: np.random.Generator) -> Iterator[Batch]:
-    RB, SB = settings.batch, settings.batch * RAY_SAMPLES
-    lengths = np.cumsum(samples.first[order + 1] - samples.first[order])
-    at, before = 0, 0
-    while at < len(order):
-        end = min(int(np.searchsorted(lengths, before + SB, side="right")), at + RB - 1)
-        rays = order[at:end]
-        rows, ray, slot = samples.take(rays)
-        k, n = len(rows), len(rays)
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """The voxels of a scene that a fit moves. rows: [P] their indices in the atlas, own voxels of their blocks. numbers: int32 [M * 32^3],
+    of each voxel of the atlas its number among them, or P. stored: [P + 1, C] their values in the scene, then zeros."""
 
-        def pad(values: NDArray[Any], size: int, fill: Any = 0) -> NDArray[Any]:
-            out = np.full((size, *values.shape[1:]), fill, values.dtype)
-            out[: len(values)] = values
-            return out
+    rows: NDArray[Any]
+    numbers: NDArray[Any]
+    stored: NDArray[Any]
 
-        d = pad(samples.view_directions[rays], RB)
-        d[n:, 2] = 1
-        bg = rng.random((RB, 3), np.float32) if settings.random_background else np.broadcast_to(np.array(settings.background, np.float32), (RB, 3))
-        yield Batch(pad(samples.base[rows], SB), pad(samples.fraction[rows], SB), pad(ray, SB, RB - 1), pad(slot, SB, MAX_RAY_SAMPLES - 1),
-                    pad(np.ones(k, np.float32), SB), d, pad(samples.pixels[rays], RB), pad(np.ones(n, np.float32), RB), bg)
-        at, before = end, int(lengths[end - 1])
+    @classmethod
+    def of(cls, scene: Scene, samples: RaySamples) -> Voxels:
+        """Those that some of the samples lie next to, and that are not 0."""
+        own, cells = own_voxels(scene), scene.cells.reshape(-1, scene.cells.shape[-1])
+        touched = np.zeros(len(own) + 1, bool)
+        for offset in CORNER_OFFSETS:
+            touched[own[samples.base + offset]] = True  # NO_VOXEL is the last
+        rows = np.flatnonzero(touched[:-1] & (cells[:, -1] > 0))
+        numbers = np.full(len(own) + 1, len(rows), np.int32)
+        numbers[rows] = np.arange(len(rows), dtype=np.int32)
+        assert NO_VOXEL == -1
+        return cls(rows, numbers[own], np.concatenate([cells[rows], np.zeros((1, cells.shape[1]), cells.dtype)]))
 
-
-def composite(full: Any, network: Any, batch: Batch, correction: bool) -> Any:
-    """pred - want [R,3]; full: [S,8,C] premultiplied corner values."""
-    R = len(batch.pixels)
-    f = (batch.fraction.astype(jnp.float32) + 0.5) / FRACTION_STEPS
-    w = jnp.stack([(f[:, 0] if c & 4 else 1 - f[:, 0]) * (f[:, 1] if c & 2 else 1 - f[:, 1]) * (f[:, 2] if c & 1 else 1 - f[:, 2]) for c in range(8)], -1)
-    smp = jnp.einsum("sk,skc->sc", w, full)
-    a = jnp.clip(smp[:, -1], 0, 0.9999) * batch.valid
-    logs = jnp.zeros((R, MAX_RAY_SAMPLES)).at[batch.ray, batch.slot].add(jnp.log1p(-a))
-    before = jnp.exp(jnp.cumsum(logs, 1) - logs)[batch.ray, batch.slot]
-    through = jnp.exp(logs.sum(1))[:, None]
-    acc = jax.ops.segment_sum((before * batch.valid)[:, None] * smp[:, :-1], batch.ray, R, indices_are_sorted=True)
-    if correction:
-        A = 1 - through
-        factor = jnp.where(A < 2 / 3, 1.5, 1 / jnp.maximum(A, 2 / 3))
-        acc, through = acc * factor, jnp.maximum(1 - factor * A, 0)
-    colour = acc[:, :3] + through * batch.background
-    if network is not None:
-        res = view_residual(jnp, network, acc[:, :3] + through, acc[:, 3:], batch.view_directions)
-        colour = colour + jnp.where(through <= NETWORK_TRANSMITTANCE, res, 0)
-    pix = batch.pixels.astype(jnp.float32) / 255
-    want = pix[:, :3] * pix[:, 3:] + (1 - pix[:, 3:]) * batch.background
-    return (colour - want) * batch.used[:, None]
+    def straight(self, unit: float) -> NDArray[Any]:
+        """The stored values as `Fitted.voxels`. unit: stored value of 1."""
+        values = self.stored.astype(np.float32) / np.float32(unit)
+        alpha = values[:, -1:]
+        return np.concatenate([np.minimum(values[:, :-1] / np.maximum(alpha, MIN_ALPHA), 1), alpha], axis=-1)
 
 
-def premultiplied(straight: Any) -> Any:
-    return jnp.concatenate([straight[..., :-1] * straight[..., -1:], straight[..., -1:]], -1)
+def fit_voxels(
+    scene: Scene, dataset: Dataset, settings: FitSettings = FitSettings(), progress: Progress = silent
+) -> tuple[Scene, dict[str, Any]]:
+    """Fit a scene's voxels and its network to the images of a dataset.
 
-
-def loss_of(p: Any, start: Any, numbers: Any, batch: Batch, settings: FitSettings, correction: bool) -> Any:
-    corner = numbers[batch.base[:, None] + CORNERS]
-    d = p["d"][corner]
-    error = composite(premultiplied(start[corner] + d), p["n"], batch, correction)
-    data = (error**2).sum() / (3 * batch.used.sum())
-    prior = 0.0
-    if settings.smooth:
-        prior += settings.smooth * (((d - d.mean(1, keepdims=True)) ** 2).sum((1, 2)) * batch.valid).sum() / batch.used.sum()
-    if settings.anchor:
-        prior += settings.anchor * ((d**2).sum((1, 2)) * batch.valid).sum() / batch.used.sum()
-    return data + prior, data
-
-
-@partial(jax.jit, static_argnames=("settings", "correction"), donate_argnums=(0, 1))
-def step(p: Any, m: Any, i: Any, decay: Any, start: Any, numbers: Any, batch: Batch, settings: FitSettings, correction: bool) -> Any:
-    (_, data), g = jax.value_and_grad(loss_of, has_aux=True)(p, start, numbers, batch, settings, correction)
-    b1, b2 = 0.9, settings.beta2
-
-    def upd(rate: Any, p: Any, g: Any, m1: Any, m2: Any) -> Any:
-        m1 = b1 * m1 + (1 - b1) * g
-        m2 = b2 * m2 + (1 - b2) * g * g
-        u = (m1 / (1 - b1 ** (i + 1))) / (jnp.sqrt(m2 / (1 - b2 ** (i + 1))) + 1e-9)
-        return p - rate * decay * u, m1, m2
-
-    C = p["d"].shape[-1]
-    rate = jnp.array([settings.rate] * 3 + [settings.rate * settings.feature_rate] * (C - 4) + [settings.rate * settings.alpha_rate])
-    d, m1, m2 = upd(rate, p["d"], g["d"], *m["d"])
-    d = (jnp.clip(start + d, 0, 1) - start).at[-1].set(0)
-    n, mn = p["n"], m["n"]
-    if n is not None:
-        g0 = g["n"]._replace(weights_0=g["n"].weights_0 * (n.weights_0 != 0).any(axis=1, keepdims=True))
-        new = [upd(settings.network_rate, a, b, x, y) for a, b, x, y in zip(n, g0, *mn)]
-        n, mn = ViewNetwork(*(q[0] for q in new)), (tuple(q[1] for q in new), tuple(q[2] for q in new))
-    return {"d": d, "n": n}, {"d": (m1, m2), "n": mn}, data
-
-
-@partial(jax.jit, static_argnames=("unit", "correction"))
-def error_sum(stored: Any, network: Any, numbers: Any, batch: Batch, unit: float, correction: bool) -> Any:
-    corner = numbers[batch.base[:, None] + CORNERS]
-    return (composite(stored[corner].astype(jnp.float32) / unit, network, batch, correction) ** 2).sum()
-
-
-def fit_voxels(scene: Scene, dataset: Dataset, settings: FitSettings = FitSettings(), progress: Progress = silent) -> tuple[Scene, dict[str, Any]]:
-    t0 = time.perf_counter()
-    views = np.arange(len(dataset.views))
-    out = views % 10 == 5
-    val = record_samples(scene, dataset, views[out], 4 * settings.validation_rays, 1, within(progress, 0, 0.05))
-    train = record_samples(scene, dataset, views[~out], 4 * settings.rays, 2, within(progress, 0.05, 0.3))
-    t1 = time.perf_counter()
-    rng = np.random.default_rng(settings.seed)
-    pick = rng.permutation(len(train))[: settings.rays]
-    vpick = np.sort(rng.permutation(len(val))[: settings.validation_rays])
-    numbers, ids = number_voxels(scene, train, settings.grow)
-    flat = scene.cells.reshape(-1, scene.cells.shape[-1])
-    C = flat.shape[-1]
-    stored = np.zeros((len(ids) + 1, C), flat.dtype)
-    stored[:-1] = flat[ids]
-    value = stored / np.float32(scene.unit)
-    alpha = value[:, -1:]
-    straight = np.concatenate([np.where(alpha > 0, value[:, :-1] / np.maximum(alpha, 1e-3), 0.5).clip(0, 1), alpha], 1).astype(np.float32)
-    voxels = ids_to_voxels(scene, ids)
-    start, numbers_ = jnp.asarray(straight), jnp.asarray(numbers)
-    n = None if scene.network is None else ViewNetwork(*(jnp.asarray(a) for a in scene.network))
-    p = {"d": jnp.zeros_like(start), "n": n}
-    zeros = lambda: None if n is None else tuple(jnp.zeros_like(a) for a in n)
-    m = {"d": (jnp.zeros_like(start), jnp.zeros_like(start)), "n": (zeros(), zeros())}
-    vb = list(batches(val, vpick, replace(settings, random_background=False), rng))
-    correction = scene.opacity_correction
-
-    def measure(stored: NDArray[Any], network: Any) -> float:
-        s = jnp.asarray(stored)
-        return sum(float(error_sum(s, network, numbers_, b, scene.unit, correction)) for b in vb) / (3 * len(vpick))
-
-    first = best = measure(stored, n)
-    best_state = (stored, n)
-    mean_len = float((train.first[1:] - train.first[:-1]).mean())
-    per = min(settings.batch - 1, settings.batch * RAY_SAMPLES / mean_len)
-    total = max(1, int(len(pick) * settings.passes / per))
-    print(f"march {t1 - t0:.1f}s rays {len(train)} used {len(pick)} mean {mean_len:.1f} voxels {len(ids)} steps {total} val {len(vpick)} first {psnr(first):.3f}", flush=True)
-    every = max(1, total // settings.evaluations)
-    i, t2, losses = 0, time.perf_counter(), []
-    history = []
-
-    def stream() -> Iterator[Batch]:
-        while True:
-            yield from batches(train, rng.permutation(pick), settings, rng)
-
-    for batch in stream():
-        decay = settings.final ** (i / total)
-        p, m, l = step(p, m, jnp.float32(i), jnp.float32(decay), start, numbers_, batch, settings, correction)
-        losses.append(float(l))
-        i += 1
-        progress(0.3 + 0.7 * i / total, "Fitting voxels")
-        if i % every == 0 or i == total:
-            full = np.asarray(premultiplied(start + p["d"]))
-            q = quantize(full, voxel_uniform(voxels, C, settings.seed + 1)) if scene.quantised else full
-            now = measure(q, p["n"])
-            history.append((i, round(psnr(np.mean(losses[-every:])), 2), round(psnr(now), 3)))
-            print(f"  {i} train {psnr(np.mean(losses[-every:])):.2f} val {psnr(now):.3f} ({psnr(now) - psnr(first):+.3f}) {time.perf_counter() - t2:.1f}s", flush=True)
-            if now < best:
-                best, best_state = now, (q, jax.tree.map(jnp.copy, p["n"]))
-        if i >= total:
-            break
-    q, net = best_state
+    Returns the scene that is best on the views kept out (as it was, if none is better), and a report: "psnr_before", "psnr_after" and
+    "gain_db" on pixels of those views that hit the scene, "steps", "voxels", "settings" and "seconds". A scene that cannot be fitted is
+    returned as it is, with the reason under "skipped". The same seed gives the same bytes on the same processor.
+    Raises SnergError when an image cannot be read, Cancelled when `progress` does.
+    """
+    if reason := _unfit(scene, dataset):
+        return scene, {"skipped": reason}
+    began = time.perf_counter()
+    training, validation = _recorded(scene, dataset, settings, within(progress, 0, MARCH_SHARE))
+    if min(len(training), len(validation)) < MIN_PIXELS:
+        return scene, {"skipped": "no training view sees the scene"}
+    marched = time.perf_counter()
+    voxels = Voxels.of(scene, training)
+    stored, network, report = _fit(scene, voxels, training, validation, settings, within(progress, MARCH_SHARE, 1))
+    report |= {
+        "voxels": len(voxels.rows),
+        "settings": asdict(settings),
+        "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},
+    }
     cells = scene.cells.copy()
-    cells.reshape(-1, C)[ids] = q[:-1]
+    cells.reshape(-1, cells.shape[-1])[voxels.rows] = stored[:-1]
     for _ in fill_aprons(cells, scene.indirection):
         pass
-    report = {"psnr_before": psnr(first), "psnr_after": psnr(best), "seconds": {"march": t1 - t0, "fit": time.perf_counter() - t1}, "history": history}
-    return replace(scene, cells=cells, network=None if net is None else as_numpy(net)), report
+    return replace(scene, cells=cells, network=network, about={**scene.about, "fit": report}), report
 
 
-def ids_to_voxels(scene: Scene, ids: NDArray[Any]) -> NDArray[Any]:
-    cell, local = np.divmod(np.append(ids, ids[:1]), CELL_VOXELS**3)
-    xyz = np.stack(np.unravel_index(local, (CELL_VOXELS,) * 3), -1) - 1
-    return block_coordinates(scene.indirection)[cell] * 30 + xyz
+def _unfit(scene: Scene, dataset: Dataset) -> str:
+    """Why a scene cannot be fitted, '' where it can."""
+    if not len(scene.cells):
+        return "the scene is empty"
+    if len(scene.cells) * CELL_VOXELS**3 > MAX_NUMBER:
+        return "the scene has too many voxels"
+    return "" if len(dataset.views) > 1 else "there is no view to keep out"
 
 
-def psnr(error: float) -> float:
-    return -10 * float(np.log10(max(error, 1e-10)))
+def _recorded(scene: Scene, dataset: Dataset, settings: FitSettings, progress: Progress) -> tuple[RaySamples, RaySamples]:
+    """The samples of the views that are fitted to, and of those that are kept out."""
+    views = np.arange(len(dataset.views))
+    middle = min(VALIDATION_EVERY, len(views)) // 2
+    kept_out = views % VALIDATION_EVERY == middle
+    share = int(kept_out.sum()) / len(views)
+    parts = []
+    for some, begin, end in ((views[~kept_out], 0.0, 1 - share), (views[kept_out], 1 - share, 1.0)):
+        pixels = round(settings.pixels * len(some) / len(views))
+        parts.append(RaySamples.concatenate(list(sampled_views(scene, dataset, some, pixels, settings.seed, within(progress, begin, end)))))
+    return parts[0], parts[1]
+
+
+def _fit(
+    scene: Scene, voxels: Voxels, training: RaySamples, validation: RaySamples, settings: FitSettings, progress: Progress
+) -> tuple[NDArray[Any], ViewNetwork | None, dict[str, Any]]:
+    """The stored values [P + 1, C] and the network that are best on the validation samples, and the report's measurements."""
+    rng = np.random.default_rng(settings.seed)
+    numbers, unit = jnp.asarray(voxels.numbers), scene.unit
+    start = jnp.asarray(voxels.straight(unit))
+    fitted = Fitted(start, None if scene.network is None else ViewNetwork(*(jnp.asarray(array) for array in scene.network)))
+    moments = jax.tree.map(jnp.zeros_like, (fitted, fitted))
+    measured = list(batches(validation, np.arange(len(validation)), settings.batch))
+    run = partial(_step, settings=settings, correct=scene.opacity_correction)
+
+    def error(stored: NDArray[Any], network: ViewNetwork | None) -> float:
+        now = jnp.asarray(stored)
+        sums = [
+            float(_stored_error(now, network, numbers, batch, settings.background, unit, scene.opacity_correction)) for batch in measured
+        ]
+        return sum(sums) / (3 * len(validation))
+
+    steps = settings.passes * sum(1 for _ in batch_ends(training, np.arange(len(training)), settings.batch))
+    best_of = _Best(error(voxels.stored, fitted.network), voxels.stored, scene.network)
+    every, step = max(1, -(-steps // settings.evaluations)), 0
+    for step, batch in enumerate(_passes(training, settings, rng), 1):
+        fitted, moments = run(fitted, moments, step, settings.final_rate ** (step / steps), numbers, batch)
+        if step % every == 0:
+            stored = _stored(scene, voxels, np.asarray(fitted.voxels), settings.seed)
+            best_of.add(error(stored, fitted.network), stored, fitted.network)
+        progress(min(step / steps, 1), f"Fitting voxels: {best_of.text()}")
+        if best_of.without_gain >= settings.patience:
+            break
+    return best_of.stored, best_of.network, {**best_of.report(), "steps": step}
+
+
+class _Best:
+    """The values with the least error so far."""
+
+    def __init__(self, error: float, stored: NDArray[Any], network: ViewNetwork | None) -> None:
+        self.first = self.error = error
+        self.stored, self.network, self.without_gain = stored, network, 0
+
+    def add(self, error: float, stored: NDArray[Any], network: ViewNetwork | None) -> None:
+        """Compare other values. Raises SnergError when their error is not finite."""
+        if not np.isfinite(error):
+            raise SnergError("Fitting the voxels went wrong: the error is not finite; bake without --fit and check the dataset's images.")
+        self.without_gain = 0 if error < self.error * (1 - MIN_IMPROVEMENT) else self.without_gain + 1
+        if error < self.error:
+            self.error, self.stored, self.network = error, stored, None if network is None else as_numpy(network)
+
+    def text(self) -> str:
+        return f"{psnr(self.error):.2f} dB, was {psnr(self.first):.2f}"
+
+    def report(self) -> dict[str, float]:
+        before, after = psnr(self.first), psnr(self.error)
+        return {"psnr_before": before, "psnr_after": after, "gain_db": after - before}
+
+
+def _passes(samples: RaySamples, settings: FitSettings, rng: np.random.Generator) -> Iterator[Batch]:
+    """The batches of all passes, each in another random order."""
+    for _ in range(settings.passes):
+        yield from batches(samples, rng.permutation(len(samples)), settings.batch)
+
+
+def batch_ends(samples: RaySamples, order: NDArray[Any], size: int) -> Iterator[tuple[int, int]]:
+    """(first, end) of each batch among rays in an order [n]: as many as have room in it, of at most size - 1 rays.
+
+    The last ray and the last samples of a batch are never used: what fills up the batch points there.
+    """
+    ends = np.cumsum(samples.first[order + 1] - samples.first[order])
+    first = 0
+    while first < len(order):
+        before = int(ends[first - 1]) if first else 0
+        end = min(int(np.searchsorted(ends, before + size * BATCH_SAMPLES, side="right")), first + size - 1)
+        yield first, end
+        first = end
+
+
+def batches(samples: RaySamples, order: NDArray[Any], size: int) -> Iterator[Batch]:
+    """The batches of rays in an order [n]."""
+    for first, end in batch_ends(samples, order, size):
+        rays = order[first:end]
+        rows, ray, slot = samples.rows(rays)
+        of_samples = (
+            samples.base[rows],
+            samples.fraction[rows],
+            ray.astype(np.int32),
+            slot.astype(np.int32),
+            np.ones(len(rows), np.float32),
+        )
+        of_rays = (samples.view_directions[rays], samples.pixels[rays], np.ones(len(rays), np.float32))
+        rest = (0, 0, size - 1, MAX_RAY_SAMPLES - 1, 0)
+        filled = [_filled_up(values, size * BATCH_SAMPLES, value) for values, value in zip(of_samples, rest, strict=True)]
+        yield Batch(*filled, *(_filled_up(values, size, 0) for values in of_rays))
+
+
+def _filled_up(values: NDArray[Any], size: int, value: int) -> NDArray[Any]:
+    """Values [n, ...] followed by `value`, [size, ...]."""
+    result = np.full((size, *values.shape[1:]), value, values.dtype)
+    result[: len(values)] = values
+    return result
+
+
+def pixel_errors(corners: Any, network: ViewNetwork | None, batch: Batch, background: tuple[float, ...], correct: bool) -> Any:
+    """What the scene shows minus the image, [R, 3], over a background. corners: [S, 8, C], premultiplied values of the stencils' corners.
+
+    correct: whether the scene has opacity correction (eq. 9).
+    """
+    values = jnp.einsum("sk,skc->sc", stencil_weights(jnp, batch.fraction), corners)
+    rays, alpha = len(batch.pixels), jnp.clip(values[:, -1], 0, MAX_ALPHA) * batch.valid
+    depth = jnp.zeros((rays, MAX_RAY_SAMPLES)).at[batch.ray, batch.slot].add(-jnp.log1p(-alpha))
+    before = jnp.exp(depth - jnp.cumsum(depth, axis=1))[batch.ray, batch.slot]
+    weighted = (before * batch.valid)[:, None] * values[:, :-1]
+    composited = jax.ops.segment_sum(weighted, batch.ray, rays, indices_are_sorted=True)
+    transmittance = jnp.exp(-depth.sum(axis=1))[:, None]
+    if correct:
+        factor = opacity_factor(jnp, 1 - transmittance)
+        composited, transmittance = composited * factor, jnp.maximum(1 - factor * (1 - transmittance), 0)
+    behind, pixels = jnp.asarray(background, jnp.float32), batch.pixels.astype(jnp.float32) / 255
+    colour = composited[:, :3] + transmittance * behind
+    if network is not None:
+        residual = view_residual(jnp, network, composited[:, :3] + transmittance, composited[:, 3:], batch.view_directions)
+        colour = colour + jnp.where(transmittance <= NETWORK_TRANSMITTANCE, residual, 0)
+    return (colour - pixels[:, :3] * pixels[:, 3:] - (1 - pixels[:, 3:]) * behind) * batch.used[:, None]
+
+
+def premultiplied(xnp: Any, voxels: Any) -> Any:
+    """Straight values [..., C], alpha last, times their alpha."""
+    return xnp.concatenate([voxels[..., :-1] * voxels[..., -1:], voxels[..., -1:]], axis=-1)
+
+
+@partial(jax.jit, static_argnames=("settings", "correct"), donate_argnums=(0, 1))
+def _step(fitted: Fitted, moments: Any, step: Any, decay: Any, numbers: Any, batch: Batch, settings: FitSettings, correct: bool) -> Any:
+    """One step of Adam on the squared error of a batch; returns the values and the moments. step: from 1."""
+
+    def loss(fitted: Fitted) -> Any:
+        corners = premultiplied(jnp, fitted.voxels[numbers[corners_of(batch.base)]])
+        return (pixel_errors(corners, fitted.network, batch, settings.background, correct) ** 2).sum() / (3 * batch.used.sum())
+
+    gradient = jax.grad(loss)(fitted)
+    if fitted.network is not None:  # rows of the first layer that are all 0 stay 0, as in fine_tune.adam_step
+        weights = gradient.network.weights_0 * (fitted.network.weights_0 != 0).any(axis=1, keepdims=True)
+        gradient = gradient._replace(network=gradient.network._replace(weights_0=weights))
+    first, second = moments
+    first = jax.tree.map(lambda m, g: BETA_1 * m + (1 - BETA_1) * g, first, gradient)
+    second = jax.tree.map(lambda v, g: BETA_2 * v + (1 - BETA_2) * g * g, second, gradient)
+    unbias = jnp.sqrt(1 - BETA_2 ** jnp.float32(step)) / (1 - BETA_1 ** jnp.float32(step))
+    rates = Fitted(settings.rate, None if fitted.network is None else ViewNetwork(*[settings.network_rate] * 6))
+    moved = jax.tree.map(lambda p, r, m, v: p - r * decay * unbias * m / (jnp.sqrt(v) + EPSILON), fitted, rates, first, second)
+    return moved._replace(voxels=jnp.clip(moved.voxels, 0, 1).at[-1].set(0)), (first, second)
+
+
+@partial(jax.jit, static_argnames=("background", "unit", "correct"))
+def _stored_error(
+    stored: Any, network: ViewNetwork | None, numbers: Any, batch: Batch, background: tuple[float, ...], unit: float, correct: bool
+) -> Any:
+    """The sum of squared errors of a batch, of voxels as they are stored, [P + 1, C]."""
+    corners = stored[numbers[corners_of(batch.base)]].astype(jnp.float32) / unit
+    return (pixel_errors(corners, network, batch, background, correct) ** 2).sum()
+
+
+def _stored(scene: Scene, voxels: Voxels, values: NDArray[Any], seed: int) -> NDArray[Any]:
+    """Fitted voxels [P + 1, C] as the scene stores them."""
+    full = premultiplied(np, values)
+    if not scene.quantised:
+        return np.asarray(full)
+    cell, local = np.divmod(voxels.rows, CELL_VOXELS**3)
+    inside = np.stack(np.unravel_index(local, (CELL_VOXELS,) * 3), axis=-1) - 1
+    places = block_coordinates(scene.indirection)[cell] * DATA_VOXELS + inside
+    noise = np.concatenate([voxel_uniform(places, full.shape[1], seed + 1), np.zeros((1, full.shape[1]), np.float32)])
+    return quantize(full, noise)

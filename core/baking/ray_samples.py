@@ -1,4 +1,4 @@
-"""The samples that pixels of the training views take of a baked scene, for fitting its voxels and for pruning them."""
+"""The samples that pixels of the training views take of a baked scene: its voxels are fitted and pruned by them. NumPy alone."""
 
 from __future__ import annotations
 
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
 from ..progress import Progress, within
-from ..rendering.acceleration import STRIDES
+from ..rendering.interpolator import CORNER_OFFSETS
 from ..rendering.render import TILE, MarchSettings, march_rays
+from ..scene.blocks import CELL_VOXELS, fill_aprons
 from ..scene.scene import Scene
 
-CORNERS = np.array([x * STRIDES[0] + y * STRIDES[1] + z for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.int32)
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
 MAX_RAY_SAMPLES = 32  # of a ray, the first; more are left out, which lie behind fog
 FRACTION_STEPS = 256  # a sample's position in its stencil is stored in so many steps along each axis
+NO_VOXEL = -1  # in `own_voxels`
 
 
 @dataclass(frozen=True, eq=False)
 class RaySamples:
     """R rays and their S samples, ordered by ray and from front to back.
 
-    first: int64 [R + 1], of each ray its first sample, then S. base: int32 [S], index of the stencil's lowest corner among the atlas's
+    first: int64 [R + 1], of each ray its first sample, then S. base: int64 [S], index of the stencil's lowest corner among the atlas's
     voxels, [M * 32^3]. fraction: uint8 [S, 3], position in the stencil in steps of 1 / FRACTION_STEPS. view_directions: float32 [R, 3],
-    unit, in the network's axes. pixels: uint8 [R, 4], sRGB with straight alpha. view: int32 [R], number of the ray's view.
+    unit, in the network's axes. pixels: uint8 [R, 4], sRGB with straight alpha.
     """
 
     first: NDArray[Any]
@@ -35,37 +36,46 @@ class RaySamples:
     fraction: NDArray[Any]
     view_directions: NDArray[Any]
     pixels: NDArray[Any]
-    view: NDArray[Any]
 
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def take(self, rays: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    @classmethod
+    def concatenate(cls, parts: list[RaySamples]) -> RaySamples:
+        """The rays of all parts (at least one), in order."""
+        lengths = np.concatenate([np.diff(part.first) for part in parts])
+        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths)])
+        rest = ("base", "fraction", "view_directions", "pixels")
+        return cls(first, *(np.concatenate([getattr(part, name) for part in parts]) for name in rest))
+
+    def rows(self, rays: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """The samples of rays [n]: their rows [k], the position in `rays` of each sample's ray [k], and its number on that ray [k]."""
         lengths = self.first[rays + 1] - self.first[rays]
-        ray = np.repeat(np.arange(len(rays), dtype=np.int32), lengths)
+        ray = np.repeat(np.arange(len(rays)), lengths)
         slot = np.arange(len(ray)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        return self.first[rays][ray] + slot, ray, slot.astype(np.int32)
+        return self.first[rays][ray] + slot, ray, slot
 
 
-def record_samples(scene: Scene, dataset: Dataset, views: NDArray[Any], pixels: int, seed: int, progress: Progress) -> RaySamples:
-    """The samples of about `pixels` random pixels of some views; pixels that the view's mask hides, and that hit nothing, are left out."""
+def sampled_views(scene: Scene, dataset: Dataset, views: NDArray[Any], pixels: int, seed: int, progress: Progress) -> Iterator[RaySamples]:
+    """For each of some views, the samples of its share of `pixels` random pixels.
+
+    Pixels that the view's mask hides are left out, and those that hit nothing. Raises SnergError when an image cannot be read.
+    """
     rng = np.random.default_rng(seed)
-    total = sum(dataset.cameras[view].width * dataset.cameras[view].height for view in views)
-    parts = []
-    for number, view in enumerate(views.tolist()):
-        camera = dataset.cameras[view]
+    cameras = [dataset.cameras[view] for view in views.tolist()]
+    share = min(1.0, pixels / max(sum(camera.width * camera.height for camera in cameras), 1))
+    for number, (view, camera) in enumerate(zip(views.tolist(), cameras, strict=True)):
         count = camera.width * camera.height
-        index = rng.choice(count, max(1, min(count, round(pixels * count / max(total, 1)))), replace=False)
-        shown = within(progress, number / len(views), (number + 1) / len(views))
-        parts.append(_record_view(scene, dataset, view, index, lambda f, _, shown=shown, n=number: shown(f, f"Marching view {n + 1}")))
-    lengths = np.concatenate([np.zeros(1, np.int64), *(part[0] for part in parts)])
-    columns = [np.concatenate([part[i] for part in parts]) for i in range(1, 6)]
-    return RaySamples(np.cumsum(lengths), *columns)
+        index = rng.choice(count, max(1, round(share * count)), replace=False)
+        part, text = (
+            within(progress, number / len(views), (number + 1) / len(views)),
+            f"Marching training view {number + 1} of {len(views)}",
+        )
+        yield _view_samples(scene, dataset, view, index, lambda fraction, _, part=part, text=text: part(fraction, text))
 
 
-def _record_view(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any], progress: Progress) -> tuple[NDArray[Any], ...]:
-    """Of pixels [n] of a view that hit something: the number of samples of each, then the other columns of RaySamples."""
+def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any], progress: Progress) -> RaySamples:
+    """The samples of pixels [n] of a view."""
     camera, image, mask = dataset.cameras[view], dataset.read(view), dataset.mask(view)
     row, column = np.divmod(index, camera.width)
     used = np.ones(len(row), bool) if mask is None else mask[row, column]
@@ -73,27 +83,47 @@ def _record_view(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any],
     order = np.lexsort((column, row, column // TILE, row // TILE))  # tile by tile: the marcher is fastest on coherent rays
     row, column = row[order], column[order]
     origins, directions = camera.rays(np.stack([column, row], axis=-1))
-    passes: list[tuple[NDArray[Any], ...]] = []
+    passes: list[tuple[NDArray[Any], ...]] = [_NO_SAMPLES]
     settings = MarchSettings(stop_transmittance=STOP_TRANSMITTANCE)
     near = max(scene.near, camera.near)
     march_rays(scene, origins, directions, settings, progress, near, record=lambda *samples: passes.append(samples))
-    ray, t, base, fraction = _joined(passes)
+    ray, t, base, fraction = (np.concatenate(column, axis=-1) for column in zip(*passes, strict=True))
     order = np.lexsort((t, ray))
-    ray = ray[order]
-    starts = np.flatnonzero(np.diff(ray, prepend=-1))
-    slot = np.arange(len(ray)) - np.repeat(starts, np.diff(np.append(starts, len(ray))))
-    order, ray = order[slot < MAX_RAY_SAMPLES], ray[slot < MAX_RAY_SAMPLES]
-    rays, lengths = np.unique(ray, return_counts=True)
+    rays, first, lengths = np.unique(ray[order], return_index=True, return_counts=True)
+    order = order[np.arange(len(order)) - np.repeat(first, lengths) < MAX_RAY_SAMPLES]
     pixels = image[row[rays], column[rays]]
     if pixels.shape[-1] == 3:
         pixels = np.concatenate([pixels, np.full((len(pixels), 1), 255, np.uint8)], axis=-1)
-    position = np.minimum(fraction[:, order].T * FRACTION_STEPS, FRACTION_STEPS - 1).astype(np.uint8)
-    towards = (directions[rays] @ scene.view_rotation.T).astype(np.float32)
-    return lengths, base[order].astype(np.int32), position, towards, pixels, np.full(len(rays), view, np.int32)
+    return RaySamples(
+        first=np.concatenate([np.zeros(1, np.int64), np.cumsum(np.minimum(lengths, MAX_RAY_SAMPLES))]),
+        base=base[order],
+        fraction=np.minimum(fraction[:, order].T * FRACTION_STEPS, FRACTION_STEPS - 1).astype(np.uint8),
+        view_directions=(directions[rays] @ scene.view_rotation.T).astype(np.float32),
+        pixels=pixels,
+    )
 
 
-def _joined(passes: list[tuple[NDArray[Any], ...]]) -> Iterator[NDArray[Any]]:
-    """The four columns of all passes."""
-    if not passes:
-        passes = [(np.zeros(0, np.int64), np.zeros(0, np.float32), np.zeros(0, np.int64), np.zeros((3, 0), np.float32))]
-    return (np.concatenate(column, axis=-1) for column in zip(*passes, strict=True))
+_NO_SAMPLES = np.zeros(0, np.int64), np.zeros(0, np.float32), np.zeros(0, np.int64), np.zeros((3, 0), np.float32)
+
+
+def stencil_weights(xnp: Any, fraction: Any) -> Any:
+    """Trilinear weights [S, 8] float32 of the corners of stencils, in the order of CORNER_OFFSETS. fraction: see RaySamples."""
+    high = (fraction.astype(xnp.float32) + 0.5) / FRACTION_STEPS
+    x, y, z = (xnp.stack([1 - high[:, axis], high[:, axis]], axis=-1) for axis in range(3))
+    return (x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]).reshape(-1, 8)
+
+
+def own_voxels(scene: Scene) -> NDArray[Any]:
+    """For each voxel of the atlas, [M * 32^3] int64, the block's own voxel of which it is a copy, or itself; NO_VOXEL in an apron towards
+    a block without a cell."""
+    own = np.full((len(scene.cells), *(CELL_VOXELS,) * 3), NO_VOXEL, np.int64)
+    inside = (slice(None), *(slice(1, -1),) * 3)
+    own[inside] = np.arange(own.size).reshape(own.shape)[inside]
+    for _ in fill_aprons(own, scene.indirection):
+        pass
+    return own.reshape(-1)
+
+
+def corners_of(base: Any) -> Any:
+    """Indices [S, 8] of a stencil's corners among the voxels of the atlas, from those of its lowest [S]."""
+    return base[:, None] + CORNER_OFFSETS

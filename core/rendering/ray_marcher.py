@@ -242,9 +242,7 @@ class RayMarcher:
         self.add_values(rows, np.einsum("kn,knc->nc", weight, values.reshape(SAMPLES_PER_PASS, count, -1)))
         self.advance[rows] = SAMPLES_PER_PASS
 
-    def record_occupied(
-        self, rows: NDArray[Any], t: NDArray[Any], base: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any]
-    ) -> None:
+    def record_occupied(self, rows: NDArray[Any], t: NDArray[Any], base: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any]) -> None:
         """Give `record` the used samples of a pass, [SAMPLES_PER_PASS * n] of rays [n], whose stencil is occupied."""
         assert self.record is not None
         some = np.flatnonzero(used)
