@@ -28,7 +28,7 @@ from ..scene.blocks import fill_aprons
 from ..scene.scene import Scene
 from .fine_tune import MIN_IMPROVEMENT, MIN_PIXELS, VALIDATION_EVERY, psnr
 from .fit_batches import Batch, Neighbourhoods, Voxels, batch_ends, batches
-from .ray_samples import MAX_RAY_SAMPLES, RaySamples, sampled_views, stencil_weights
+from .ray_samples import FIT_PIXELS, MAX_RAY_SAMPLES, RaySamples, sampled_views, stencil_weights
 
 MARCH_SHARE = 0.3  # of the progress that marching the training views gets
 BETA_1, BETA_2, EPSILON = 0.9, 0.99, 1e-9  # of Adam
@@ -40,7 +40,7 @@ MAX_ALPHA = 0.9999  # of a sample, whose logarithm of transmittance must be fini
 class FitSettings:
     """How voxels are fitted."""
 
-    pixels: int = 4_000_000  # of all training views, of which those that hit something are fitted to: bounds the memory and the time
+    pixels: int = FIT_PIXELS  # of all training views, of which those that hit the scene are fitted to
     passes: int = 2  # over these pixels
     batch: int = 2048  # rays a step, at most
     rate: float = 3e-3  # of Adam at the start, of values in [0, 1]; at 2e-2 views that were kept out lose 1.7 dB

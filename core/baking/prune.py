@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -21,9 +22,10 @@ def prune(scene: Scene, dataset: Dataset, threshold: float, seed: int = 0, progr
     """Drop the voxels whose largest share of any training pixel is below `threshold`, and the blocks that are left without voxels.
 
     A voxel's share of a pixel is the transmittance in front of a sample, times the voxel's opacity, times its weight in the sample's
-    stencil. Returns the scene, and "voxels_before" and "voxels_after". Raises SnergError when an image cannot be read, Cancelled when
-    `progress` does.
+    stencil. Returns the scene, and a report: "threshold", "voxels_before", "voxels_after" and "seconds". Raises SnergError when an image
+    cannot be read, Cancelled when `progress` does.
     """
+    began = time.perf_counter()
     own = own_voxels(scene)
     alpha = scene.cells.reshape(-1, scene.cells.shape[-1])[:, -1]
     needed = np.zeros(len(own), bool)
@@ -32,7 +34,13 @@ def prune(scene: Scene, dataset: Dataset, threshold: float, seed: int = 0, progr
         needed[corners[corners != NO_VOXEL]] = True
     held = alpha[own[own == np.arange(len(own))]] > 0
     kept = without(scene, ~needed)
-    return kept, {"voxels_before": int(held.sum()), "voxels_after": int((needed & (alpha > 0)).sum())}
+    report = {
+        "threshold": threshold,
+        "voxels_before": int(held.sum()),
+        "voxels_after": int((needed & (alpha > 0)).sum()),
+        "seconds": {"march": round(time.perf_counter() - began, 3)},
+    }
+    return replace(kept, about={**scene.about, "prune": report}), report
 
 
 def shares(samples: RaySamples, alpha: NDArray[Any]) -> NDArray[Any]:

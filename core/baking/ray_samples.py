@@ -16,6 +16,9 @@ from ..rendering.render import TILE, MarchSettings, march_rays
 from ..scene.blocks import CELL_VOXELS, fill_aprons
 from ..scene.scene import Scene
 
+# Pixels of all training views, of which those that hit the scene are fitted to; it bounds the memory (100 bytes a pixel that hits) and the
+# time. Here, because the cost model needs it without JAX.
+FIT_PIXELS = 4_000_000
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
 MAX_RAY_SAMPLES = 32  # of a ray, the first; more are left out, which lie behind fog
 FRACTION_STEPS = 256  # a sample's position in its stencil is stored in so many steps along each axis
