@@ -94,10 +94,10 @@ def estimate(
 ) -> Estimate:
     """The cost of a bake with `bake_field` and of a preview of `size` pixels, on this machine under the same load as during the probe.
 
-    finishing: what is done after the bake. Files: a kept voxel takes as many bytes as in the small bake, times the ratio of resolutions to the power
-    -voxel_bytes_decay; a scene of floats is not compressed. Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which
-    cuts through the field uncovers voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in
-    normalised device coordinates.
+    finishing: what is done after the bake; pruning takes time, but how many bytes it saves is not modelled. Files: a kept voxel takes as
+    many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay; a scene of floats is not compressed.
+    Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through the field uncovers
+    voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in normalised device coordinates.
     """
     counts, rates, field = _count(probe, box, settings), probe.rates, probe.field
     atlas_bytes = counts.blocks * CELL_VOXELS**3 * counts.channels * (1 if settings.quantise else 4)
