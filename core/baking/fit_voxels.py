@@ -123,7 +123,9 @@ class _Fit:
         for step, batch in enumerate(self.batches(), 1):
             rows, corners = near(batch.corners)
             decay = settings.final_rate ** (step / steps)
-            self.fitted, moments = _step(self.fitted, moments, step, decay, rows, batch._replace(corners=corners), settings, correct)
+            rates = decay * settings.rate, decay * settings.network_rate
+            batch = batch._replace(corners=corners)
+            self.fitted, moments = _step(self.fitted, moments, float(step), rates, rows, batch, settings.background, correct)
             if step % every == 0:
                 self.compare()
             progress(min(step / steps, 1.0), f"Fitting voxels: {psnr(self.least):.2f} dB, was {psnr(self.first):.2f}")
@@ -185,29 +187,31 @@ def premultiplied(xnp: Any, voxels: Any) -> Any:
     return xnp.concatenate([voxels[..., :-1] * voxels[..., -1:], voxels[..., -1:]], axis=-1)
 
 
-@partial(jax.jit, static_argnames=("settings", "correct"), donate_argnums=(0, 1))
-def _step(fitted: Fitted, moments: Any, step: Any, decay: Any, rows: Any, batch: Batch, settings: FitSettings, correct: bool) -> Any:
-    """One step of Adam on the squared error of a batch; returns the values and the moments. step: from 1.
+@partial(jax.jit, static_argnames=("background", "correct"), donate_argnums=(0, 1))
+def _step(
+    fitted: Fitted, moments: Any, step: Any, rates: Any, rows: Any, batch: Batch, background: tuple[float, ...], correct: bool
+) -> Any:
+    """One step of Adam on the squared error of a batch; returns the values and the moments. step: from 1. rates: of voxels and network.
 
     rows: see Neighbourhoods; `batch.corners` are places among them. Voxels that no ray of the batch needs keep their moments.
     """
 
     def loss(some: Fitted) -> Any:
         corners = premultiplied(jnp, some.voxels[batch.corners])
-        return (pixel_errors(corners, some.network, batch, settings.background, correct) ** 2).sum() / (3 * batch.used.sum())
+        return (pixel_errors(corners, some.network, batch, background, correct) ** 2).sum() / (3 * batch.used.sum())
 
     some, first, second = (whole._replace(voxels=whole.voxels[rows]) for whole in (fitted, *moments))
     gradient = jax.grad(loss)(some)
-    unbias = jnp.sqrt(1 - BETA_2 ** jnp.float32(step)) / (1 - BETA_1 ** jnp.float32(step))
-    rates = Fitted(settings.rate, None if fitted.network is None else ViewNetwork(*[settings.network_rate] * len(ViewNetwork._fields)))
+    unbias = jnp.sqrt(1 - BETA_2**step) / (1 - BETA_1**step)
+    each = Fitted(rates[0], None if fitted.network is None else ViewNetwork(*[rates[1]] * len(ViewNetwork._fields)))
 
     def update(p: Any, g: Any, m: Any, v: Any, rate: Any) -> tuple[Any, Any, Any]:
         m2, v2 = BETA_1 * m + (1 - BETA_1) * g, BETA_2 * v + (1 - BETA_2) * g * g
         changes = jnp.abs(g) > UNTOUCHED
-        moved = jnp.where(changes, p - rate * decay * unbias * m2 / (jnp.sqrt(v2) + EPSILON), p)
+        moved = jnp.where(changes, p - rate * unbias * m2 / (jnp.sqrt(v2) + EPSILON), p)
         return moved, jnp.where(changes, m2, m), jnp.where(changes, v2, v)
 
-    changed = jax.tree.map(update, some, gradient, first, second, rates)
+    changed = jax.tree.map(update, some, gradient, first, second, each)
     parts = jax.tree.transpose(jax.tree.structure(some), jax.tree.structure((0, 0, 0)), changed)
     parts = (parts[0]._replace(voxels=jnp.clip(parts[0].voxels, 0, 1)), *parts[1:])
     wholes = (
