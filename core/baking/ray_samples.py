@@ -22,6 +22,7 @@ FIT_PIXELS = 4_000_000
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
 MAX_RAY_SAMPLES = 32  # of a ray, the first; more are left out, which lie behind fog
 FRACTION_STEPS = 256  # a sample's position in its stencil is stored in so many steps along each axis
+T_BITS = 18  # of a sample's distance in voxels: a grid has at most 2^17 along an axis
 NO_VOXEL = -1  # in `own_voxels`
 
 
@@ -91,8 +92,10 @@ def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any]
     near = max(scene.near, camera.near)
     march_rays(scene, origins, directions, settings, progress, near, record=lambda *samples: passes.append(samples))
     ray, t, base, fraction = (np.concatenate(column, axis=-1) for column in zip(*passes, strict=True))
-    order = np.lexsort((t, ray))
-    rays, first, lengths = np.unique(ray[order], return_index=True, return_counts=True)
+    order = np.argsort((ray << T_BITS) + t.astype(np.int64))  # t is a whole number and a half, below the grid's diagonal
+    ray = ray[order]
+    first = np.flatnonzero(np.diff(ray, prepend=-1))
+    rays, lengths = ray[first], np.diff(first, append=len(ray))
     order = order[np.arange(len(order)) - np.repeat(first, lengths) < MAX_RAY_SAMPLES]
     pixels = image[row[rays], column[rays]]
     if pixels.shape[-1] == 3:
