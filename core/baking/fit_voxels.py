@@ -30,6 +30,7 @@ from .fine_tune import MIN_IMPROVEMENT, MIN_PIXELS, VALIDATION_EVERY, psnr
 from .fit_batches import Batch, Neighbourhoods, Voxels, batch_ends, batches
 from .ray_samples import FIT_PIXELS, MAX_RAY_SAMPLES, RaySamples, sampled_views, stencil_weights
 
+VALIDATION_PIXELS = 250_000  # of the views kept out, at most
 MARCH_SHARE = 0.3  # of the progress that marching the training views gets
 BETA_1, BETA_2, EPSILON = 0.9, 0.99, 1e-9  # of Adam
 UNTOUCHED = 1e-9  # magnitude of a gradient up to which a value keeps its moments (see optimizer.train_step)
@@ -46,7 +47,7 @@ class FitSettings:
     rate: float = 3e-3  # of Adam at the start, of values in [0, 1]; at 2e-2 views that were kept out lose 1.7 dB
     network_rate: float = 1e-3  # of the network's weights
     final_rate: float = 0.1  # rates at the end, as a share of those at the start; they decay exponentially
-    evaluations: int = 10  # on the views that are kept out, over the whole fit
+    evaluations: int = 6  # on the views that are kept out, over the whole fit
     patience: int = 2  # evaluations without a gain after which it stops
     seed: int = 0  # of the choice of pixels and their order
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which images with alpha are fitted
@@ -76,8 +77,8 @@ def fit_voxels(
     if min(len(training), len(validation)) < MIN_PIXELS:
         return scene, {"skipped": "no training view sees the scene"}
     marched = time.perf_counter()
-    fit = _Fit(scene, training, validation, settings)
-    report = fit.run(within(progress, MARCH_SHARE, 1)) | {
+    fit = _Fit(scene, training, validation, settings, within(progress, MARCH_SHARE, 1))
+    report = fit.run() | {
         "voxels": len(fit.voxels.rows),
         "settings": asdict(settings),
         "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},
@@ -96,7 +97,8 @@ def _recorded(scene: Scene, dataset: Dataset, settings: FitSettings, progress: P
     share = float(kept_out.mean())
     parts = []
     for some, begin, end in ((views[~kept_out], 0.0, 1 - share), (views[kept_out], 1 - share, 1.0)):
-        pixels, shown = round(settings.pixels * len(some) / len(views)), within(progress, begin, end)
+        most = VALIDATION_PIXELS if begin else settings.pixels
+        pixels, shown = min(round(settings.pixels * len(some) / len(views)), most), within(progress, begin, end)
         parts.append(RaySamples.concatenate(list(sampled_views(scene, dataset, some, pixels, settings.seed, shown))))
     return parts[0], parts[1]
 
@@ -104,16 +106,22 @@ def _recorded(scene: Scene, dataset: Dataset, settings: FitSettings, progress: P
 class _Fit:
     """A fit in progress. best: stored values [P + 1, C] and the network of the least error so far on the views kept out."""
 
-    def __init__(self, scene: Scene, training: RaySamples, validation: RaySamples, settings: FitSettings) -> None:
+    def __init__(self, scene: Scene, training: RaySamples, validation: RaySamples, settings: FitSettings, progress: Progress) -> None:
         self.scene, self.training, self.validation, self.settings = scene, training, validation, settings
         self.voxels = Voxels.of(scene, training)
         network = None if scene.network is None else ViewNetwork(*(jnp.asarray(array) for array in scene.network))
         self.fitted = Fitted(jnp.asarray(self.voxels.straight(scene.unit)), network)
+        self.progress, self.fraction, self.without_gain = progress, 0.0, 0
         self.best = self.voxels.stored, scene.network
+        self.first = self.least = np.inf
         self.first = self.least = self.error(*self.best)
-        self.without_gain = 0
 
-    def run(self, progress: Progress) -> dict[str, Any]:
+    def tell(self) -> None:
+        """Report the progress, several times a second: it may raise Cancelled."""
+        known = f": {psnr(self.least):.2f} dB, was {psnr(self.first):.2f}" if np.isfinite(self.first) else ""
+        self.progress(self.fraction, f"Fitting voxels{known}")
+
+    def run(self) -> dict[str, Any]:
         """Run all steps, or until nothing is gained any more. Returns the report's measurements."""
         settings, correct = self.settings, self.scene.opacity_correction
         moments = jax.tree.map(jnp.zeros_like, (self.fitted, self.fitted))
@@ -126,9 +134,10 @@ class _Fit:
             rates = decay * settings.rate, decay * settings.network_rate
             batch = batch._replace(corners=corners)
             self.fitted, moments = _step(self.fitted, moments, float(step), rates, rows, batch, settings.background, correct)
-            if step % every == 0:
+            self.fraction = min(step / steps, 1.0)
+            self.tell()
+            if step % every == 0 or step == steps:
                 self.compare()
-            progress(min(step / steps, 1.0), f"Fitting voxels: {psnr(self.least):.2f} dB, was {psnr(self.first):.2f}")
             if self.without_gain >= settings.patience:
                 break
         before, after = psnr(self.first), psnr(self.least)
@@ -153,10 +162,11 @@ class _Fit:
 
     def error(self, stored: NDArray[Any], network: ViewNetwork | None) -> float:
         """Mean squared error of stored values [P + 1, C] and a network on the views kept out."""
-        now, background = jnp.asarray(stored), self.settings.background
-        measured = batches(self.validation, np.arange(len(self.validation)), self.settings.batch, self.voxels)
-        sums = [_stored_error(now, network, batch, background, self.scene.unit, self.scene.opacity_correction) for batch in measured]
-        return float(np.sum([float(part) for part in sums])) / (3 * len(self.validation))
+        now, background, correct, total = jnp.asarray(stored), self.settings.background, self.scene.opacity_correction, 0.0
+        for batch in batches(self.validation, np.arange(len(self.validation)), self.settings.batch, self.voxels):
+            total += float(_stored_error(now, network, batch, background, self.scene.unit, correct))
+            self.tell()
+        return total / (3 * len(self.validation))
 
 
 def pixel_errors(corners: Any, network: ViewNetwork | None, batch: Batch, background: tuple[float, ...], correct: bool) -> Any:

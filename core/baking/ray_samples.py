@@ -20,6 +20,7 @@ from ..scene.scene import Scene
 # time. Here, because the cost model needs it without JAX.
 FIT_PIXELS = 4_000_000
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
+MAX_SAMPLES = 2**25  # of all views, 11 to 15 bytes each; where there would be more, rays are left out
 MAX_RAY_SAMPLES = 32  # of a ray, the first; more are left out, which lie behind fog
 FRACTION_STEPS = 256  # a sample's position in its stencil is stored in so many steps along each axis
 T_BITS = 18  # of a sample's distance in voxels: a grid has at most 2^17 along an axis
@@ -30,7 +31,7 @@ NO_VOXEL = -1  # in `own_voxels`
 class RaySamples:
     """R rays and their S samples, ordered by ray and from front to back.
 
-    first: int64 [R + 1], of each ray its first sample, then S. base: int64 [S], index of the stencil's lowest corner among the atlas's
+    first: int64 [R + 1], of each ray its first sample, then S. base: int32 or int64 [S], index of the stencil's lowest corner among the atlas's
     voxels, [M * 32^3]. fraction: uint8 [S, 3], position in the stencil in steps of 1 / FRACTION_STEPS. view_directions: float32 [R, 3],
     unit, in the network's axes. pixels: uint8 [R, 4], sRGB with straight alpha.
     """
@@ -51,6 +52,16 @@ class RaySamples:
         first = np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths)])
         rest = ("base", "fraction", "view_directions", "pixels")
         return cls(first, *(np.concatenate([getattr(part, name) for part in parts]) for name in rest))
+
+    def thinned(self, limit: int) -> RaySamples:
+        """Every n-th ray, so many that there are about `limit` samples at most; itself where there are no more."""
+        step = -(-int(self.first[-1]) // max(limit, 1))
+        if step < 2:
+            return self
+        rays = np.arange(0, len(self), step)
+        rows, _, _ = self.rows(rays)
+        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.diff(self.first)[rays])])
+        return RaySamples(first, self.base[rows], self.fraction[rows], self.view_directions[rays], self.pixels[rays])
 
     def rows(self, rays: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """The samples of rays [n]: their rows [k], the position in `rays` of each sample's ray [k], and its number on that ray [k]."""
@@ -75,7 +86,11 @@ def sampled_views(scene: Scene, dataset: Dataset, views: NDArray[Any], pixels: i
             within(progress, number / len(views), (number + 1) / len(views)),
             f"Marching training view {number + 1} of {len(views)}",
         )
-        yield _view_samples(scene, dataset, view, index, lambda fraction, _, part=part, text=text: part(fraction, text))
+
+        def tell(fraction: float, _: str, shown: Progress = shown, text: str = text) -> None:
+            shown(fraction, text)
+
+        yield _view_samples(scene, dataset, view, index, tell).thinned(MAX_SAMPLES // len(views))
 
 
 def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any], progress: Progress) -> RaySamples:
@@ -102,11 +117,16 @@ def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any]
         pixels = np.concatenate([pixels, np.full((len(pixels), 1), 255, np.uint8)], axis=-1)
     return RaySamples(
         first=np.concatenate([np.zeros(1, np.int64), np.cumsum(np.minimum(lengths, MAX_RAY_SAMPLES))]),
-        base=base[order],
+        base=base[order].astype(_index_type(scene)),
         fraction=np.minimum(fraction[:, order].T * FRACTION_STEPS, FRACTION_STEPS - 1).astype(np.uint8),
         view_directions=(directions[rays] @ scene.view_rotation.T).astype(np.float32),
         pixels=pixels,
     )
+
+
+def _index_type(scene: Scene) -> Any:
+    """The integers that number the voxels of the atlas."""
+    return np.int32 if len(scene.cells) * CELL_VOXELS**3 < 2**31 else np.int64
 
 
 _NO_SAMPLES = np.zeros(0, np.int64), np.zeros(0, np.float32), np.zeros(0, np.int64), np.zeros((3, 0), np.float32)
@@ -120,9 +140,9 @@ def stencil_weights(xnp: Any, fraction: Any) -> Any:
 
 
 def own_voxels(scene: Scene) -> NDArray[Any]:
-    """For each voxel of the atlas, [M * 32^3] int64, the block's own voxel of which it is a copy, or itself; NO_VOXEL in an apron towards
+    """For each voxel of the atlas, [M * 32^3] int32 or int64, the block's own voxel of which it is a copy, or itself; NO_VOXEL in an apron towards
     a block without a cell."""
-    own = np.full((len(scene.cells), *(CELL_VOXELS,) * 3), NO_VOXEL, np.int64)
+    own = np.full((len(scene.cells), *(CELL_VOXELS,) * 3), NO_VOXEL, _index_type(scene))
     inside = (slice(None), *(slice(1, -1),) * 3)
     own[inside] = np.arange(own.size).reshape(own.shape)[inside]
     for _ in fill_aprons(own, scene.indirection):
