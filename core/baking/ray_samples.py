@@ -31,9 +31,9 @@ NO_VOXEL = -1  # in `own_voxels`
 class RaySamples:
     """R rays and their S samples, ordered by ray and from front to back.
 
-    first: int64 [R + 1], of each ray its first sample, then S. base: int32 or int64 [S], index of the stencil's lowest corner among the atlas's
-    voxels, [M * 32^3]. fraction: uint8 [S, 3], position in the stencil in steps of 1 / FRACTION_STEPS. view_directions: float32 [R, 3],
-    unit, in the network's axes. pixels: uint8 [R, 4], sRGB with straight alpha.
+    first: int64 [R + 1], of each ray its first sample, then S. base: int32 or int64 [S], index of the stencil's lowest corner among the
+    voxels of the atlas, [M * 32^3]. fraction: uint8 [S, 3], position in the stencil in steps of 1 / FRACTION_STEPS. view_directions:
+    float32 [R, 3], unit, in the network's axes. pixels: uint8 [R, 4], sRGB with straight alpha.
     """
 
     first: NDArray[Any]
@@ -82,10 +82,7 @@ def sampled_views(scene: Scene, dataset: Dataset, views: NDArray[Any], pixels: i
     for number, (view, camera) in enumerate(zip(views.tolist(), cameras, strict=True)):
         count = camera.width * camera.height
         index = rng.choice(count, max(1, round(share * count)), replace=False)
-        part, text = (
-            within(progress, number / len(views), (number + 1) / len(views)),
-            f"Marching training view {number + 1} of {len(views)}",
-        )
+        shown, text = within(progress, number / len(views), (number + 1) / len(views)), f"Marching view {number + 1} of {len(views)}"
 
         def tell(fraction: float, _: str, shown: Progress = shown, text: str = text) -> None:
             shown(fraction, text)
@@ -140,8 +137,10 @@ def stencil_weights(xnp: Any, fraction: Any) -> Any:
 
 
 def own_voxels(scene: Scene) -> NDArray[Any]:
-    """For each voxel of the atlas, [M * 32^3] int32 or int64, the block's own voxel of which it is a copy, or itself; NO_VOXEL in an apron towards
-    a block without a cell."""
+    """For each voxel of the atlas, int32 or int64 [M * 32^3], the block's own voxel of which it is a copy, or itself.
+
+    NO_VOXEL in an apron towards a block without a cell.
+    """
     own = np.full((len(scene.cells), *(CELL_VOXELS,) * 3), NO_VOXEL, _index_type(scene))
     inside = (slice(None), *(slice(1, -1),) * 3)
     own[inside] = np.arange(own.size).reshape(own.shape)[inside]

@@ -121,7 +121,7 @@ def test_a_cancelled_fit_stops_and_says_how_far_it_is(views):
     with pytest.raises(Cancelled):
         fit_voxels(noisy(), views, SETTINGS, stop)
     fractions = [fraction for fraction, _ in told]
-    assert fractions == sorted(fractions) and "Marching training view 1" in told[0][1] and "dB, was" in told[-1][1]
+    assert fractions == sorted(fractions) and "Marching view 1" in told[0][1] and "dB, was" in told[-1][1]
 
 
 def test_shares_are_those_of_the_march(views):
