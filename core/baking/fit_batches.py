@@ -17,6 +17,7 @@ from .jitter import voxel_uniform
 from .ray_samples import MAX_RAY_SAMPLES, RaySamples, corners_of, own_voxels
 
 BATCH_SAMPLES = 12  # samples a ray for which a batch has room, on average
+ROUND_VOXELS = 2**16  # to a multiple of which voxels are counted
 MIN_ALPHA = 1e-3  # of a voxel, by which premultiplied values are divided
 
 
@@ -40,10 +41,11 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """The P voxels of a scene that a fit moves. Their numbers are 0 to P - 1; P stands for any other voxel, which is empty.
+    """The voxels of a scene that a fit moves, numbered from 0. The last number, P - 1, stands for any other voxel, which counts as empty.
 
-    rows: int64 [P] their indices in the atlas, own voxels of their blocks. numbers: int32 [M * 32^3], of each voxel of the atlas its
-    number. stored: [P + 1, C] their values in the scene; zeros for P.
+    P is a multiple of ROUND_VOXELS, so that scenes of about the same size share what is compiled; the numbers that are left are not used.
+    rows: int64 [n] the voxels' indices in the atlas, own voxels of their blocks. numbers: int32 [M * 32^3], of each voxel of the atlas
+    its number. stored: [P, C] their values in the scene; zeros from n on.
     """
 
     rows: NDArray[Any]
@@ -58,28 +60,30 @@ class Voxels:
         for offset in CORNER_OFFSETS:
             touched[own[samples.base + offset]] = True
         rows = np.flatnonzero(touched[:-1] & (cells[:, -1] > 0))
-        numbers = np.full(len(own) + 1, len(rows), np.int32)
+        stored = np.zeros((-(-(len(rows) + 1) // ROUND_VOXELS) * ROUND_VOXELS, cells.shape[1]), cells.dtype)
+        stored[: len(rows)] = cells[rows]
+        numbers = np.full(len(own) + 1, len(stored) - 1, np.int32)
         numbers[rows] = np.arange(len(rows), dtype=np.int32)
-        return cls(rows, numbers[own], np.concatenate([cells[rows], np.zeros((1, cells.shape[1]), cells.dtype)]))
+        return cls(rows, numbers[own], stored)
 
     def straight(self, unit: float) -> NDArray[Any]:
-        """The stored values, float32 [P + 1, C] in [0, 1], colour and features divided by alpha. unit: stored value of 1."""
+        """The stored values, float32 [P, C] in [0, 1], colour and features divided by alpha. unit: stored value of 1."""
         values = self.stored.astype(np.float32) / np.float32(unit)
         alpha = values[:, -1:]
         return np.concatenate([np.minimum(values[:, :-1] / np.maximum(alpha, MIN_ALPHA), 1), alpha], axis=-1)
 
     def to_store(self, scene: Scene, premultiplied: NDArray[Any], seed: int) -> NDArray[Any]:
-        """Values [P + 1, C] in [0, 1] as the scene stores them. seed: of the dither of thin voxels (see `quantize`)."""
+        """Values [P, C] in [0, 1] as the scene stores them. seed: of the dither of thin voxels (see `quantize`)."""
         if not scene.quantised:
             return premultiplied
         cell, local = np.divmod(self.rows, CELL_VOXELS**3)
         inside = np.stack(np.unravel_index(local, (CELL_VOXELS,) * 3), axis=-1) - 1
         noise = voxel_uniform(block_coordinates(scene.indirection)[cell] * DATA_VOXELS + inside, premultiplied.shape[1], seed + 1)
-        return np.concatenate([quantize(premultiplied[:-1], noise), self.stored[-1:]])
+        return np.concatenate([quantize(premultiplied[: len(self.rows)], noise), self.stored[len(self.rows) :]])
 
 
 class Neighbourhoods:
-    """Finds the voxels that occur in a batch: a step on these alone takes a tenth of the time of one on all. count: P + 1."""
+    """Finds the voxels that occur in a batch: a step on these alone takes a tenth of the time of one on all. count: P."""
 
     def __init__(self, count: int) -> None:
         self.seen, self.place = np.zeros(count, bool), np.zeros(count, np.int32)
@@ -87,7 +91,7 @@ class Neighbourhoods:
     def __call__(self, corners: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """The numbers of the voxels in corners [S, 8], int32 [8 S + 1], and the place of each corner among them, int32 [S, 8].
 
-        They ascend; the empty voxel, P, follows them and fills the rest.
+        They ascend; the empty voxel, P - 1, follows them and fills the rest.
         """
         self.seen[corners] = True
         self.seen[-1] = False
@@ -120,7 +124,7 @@ def batches(samples: RaySamples, order: NDArray[Any], size: int, voxels: Voxels)
         corners = voxels.numbers[corners_of(samples.base[rows])]
         of_samples = (corners, samples.fraction[rows], ray.astype(np.int32), slot.astype(np.int32), np.ones(len(rows), np.float32))
         of_rays = (samples.view_directions[rays], samples.pixels[rays], np.ones(len(rays), np.float32))
-        rest = (len(voxels.rows), 0, size - 1, MAX_RAY_SAMPLES - 1, 0)
+        rest = (len(voxels.stored) - 1, 0, size - 1, MAX_RAY_SAMPLES - 1, 0)
         filled = [_filled_up(values, size * BATCH_SAMPLES, value) for values, value in zip(of_samples, rest, strict=True)]
         yield Batch(*filled, *(_filled_up(values, size, 0) for values in of_rays))
 

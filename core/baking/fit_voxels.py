@@ -54,7 +54,7 @@ class FitSettings:
 
 
 class Fitted(NamedTuple):
-    """What a fit moves. voxels: [P + 1, C], straight colour and features and alpha, in [0, 1]; the last one stays 0."""
+    """What a fit moves. voxels: [P, C], straight colour and features and alpha, in [0, 1]; the last one stays 0."""
 
     voxels: Any
     network: ViewNetwork | None
@@ -84,7 +84,7 @@ def fit_voxels(
         "seconds": {"march": round(marched - began, 3), "fit": round(time.perf_counter() - marched, 3)},
     }
     cells = scene.cells.copy()
-    cells.reshape(-1, cells.shape[-1])[fit.voxels.rows] = fit.best[0][:-1]
+    cells.reshape(-1, cells.shape[-1])[fit.voxels.rows] = fit.best[0][: len(fit.voxels.rows)]
     for _ in fill_aprons(cells, scene.indirection):
         pass
     return replace(scene, cells=cells, network=fit.best[1], about={**scene.about, "fit": report}), report
@@ -104,7 +104,7 @@ def _recorded(scene: Scene, dataset: Dataset, settings: FitSettings, progress: P
 
 
 class _Fit:
-    """A fit in progress. best: stored values [P + 1, C] and the network of the least error so far on the views kept out."""
+    """A fit in progress. best: stored values [P, C] and the network of the least error so far on the views kept out."""
 
     def __init__(self, scene: Scene, training: RaySamples, validation: RaySamples, settings: FitSettings, progress: Progress) -> None:
         self.scene, self.training, self.validation, self.settings = scene, training, validation, settings
@@ -161,7 +161,7 @@ class _Fit:
             self.least, self.best = error, (stored, network)
 
     def error(self, stored: NDArray[Any], network: ViewNetwork | None) -> float:
-        """Mean squared error of stored values [P + 1, C] and a network on the views kept out."""
+        """Mean squared error of stored values [P, C] and a network on the views kept out."""
         now, background, correct, total = jnp.asarray(stored), self.settings.background, self.scene.opacity_correction, 0.0
         for batch in batches(self.validation, np.arange(len(self.validation)), self.settings.batch, self.voxels):
             total += float(_stored_error(now, network, batch, background, self.scene.unit, correct))
@@ -234,6 +234,6 @@ def _step(
 
 @partial(jax.jit, static_argnames=("background", "unit", "correct"))
 def _stored_error(stored: Any, network: ViewNetwork | None, batch: Batch, background: tuple[float, ...], unit: float, correct: bool) -> Any:
-    """The sum of squared errors of a batch, of voxels as they are stored, [P + 1, C]."""
+    """The sum of squared errors of a batch, of voxels as they are stored, [P, C]."""
     corners = stored[batch.corners].astype(jnp.float32) / unit
     return (pixel_errors(corners, network, batch, background, correct) ** 2).sum()

@@ -194,7 +194,7 @@ def _variations(
         yield baseline, REFINE, "refined"
         yield replace(baseline, refine=False), REFINE, "not refined"
     if images:
-        yield from _fitted(baseline, coarse)
+        yield from _finished(baseline, coarse)
     yield from _stages(baseline, cameras, refinable, stored)
     if features:
         yield replace(with_bake(baseline, network=False), refine=False), NETWORK, "none"
@@ -208,15 +208,18 @@ def _variations(
         yield marched, f"{RESOLUTION}, tolerance 0.01", f"{config.bake.resolution} voxels"
 
 
-def _fitted(baseline: Configuration, coarse: Sequence[Configuration]) -> Iterator[tuple[Configuration, str, str]]:
-    """Voxels fitted to the training images, on grids of several resolutions, and pruned before that."""
+def _finished(baseline: Configuration, coarse: Sequence[Configuration]) -> Iterator[tuple[Configuration, str, str]]:
+    """Voxels dropped, voxels fitted, on coarser grids too, and both."""
+    yield baseline, PRUNING, "none"
+    for share in PRUNED:
+        yield replace(baseline, prune=share), PRUNING, f"{share:g}"
     yield baseline, FITTING, "not fitted"
     yield replace(baseline, fit=True), FITTING, "fitted"
-    for config in (*coarse[1:], baseline):
+    for config in (*coarse[2:], baseline):
         yield replace(config, fit=True), f"{RESOLUTION}, fitted", f"{config.bake.resolution} voxels"
-    yield replace(baseline, fit=True), PRUNING, "none"
-    for share in PRUNED:
-        yield replace(baseline, fit=True, prune=share), PRUNING, f"{share:g}"
+    for config in (*coarse[-1:], baseline):
+        pruned = replace(config, fit=True, prune=PRUNED[1])
+        yield pruned, f"{RESOLUTION}, fitted, pruned at {PRUNED[1]:g}", f"{config.bake.resolution} voxels"
 
 
 def _variations_of_storage(baseline: Configuration, stored: Sequence[CodecSettings]) -> Iterator[tuple[Configuration, str, str]]:
