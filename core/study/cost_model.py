@@ -108,7 +108,7 @@ def estimate(
     seconds |= _finishing_seconds(probe, finishing, counts.channels == DEFERRED_CHANNELS, ray, coefficients)
     return Estimate(
         seconds=seconds,
-        peak_megabytes=(coefficients.process_bytes + coefficients.cell_copies * atlas_bytes) / 1e6,
+        peak_megabytes=_peak_bytes(probe, counts, atlas_bytes, "fit" in seconds, coefficients) / 1e6,
         megabytes=(png_bytes if settings.quantise else atlas_bytes) / 1e6,
         preview=rates.preview_view + coefficients.preview_factor * size[0] * size[1] * ray,
         tables=counts.blocks * rates.acceleration_block,
@@ -187,6 +187,18 @@ def _finishing_seconds(probe: FieldProbe, finishing: Finishing, network: bool, r
         "refine": coefficients.refine_seconds + views + ray * coefficients.refine_pixels,
     }
     return {name: seconds[name] for name in finishing.stages(network)}
+
+
+def _peak_bytes(probe: FieldProbe, counts: _Counts, atlas_bytes: int, fit: bool, coefficients: Coefficients) -> float:
+    """Memory of a bake, or of the fit of its voxels where that takes more: the atlas and its numbers, the voxels with their moments, and
+    the samples of the pixels."""
+    bake = coefficients.process_bytes + coefficients.cell_copies * atlas_bytes
+    if not fit:
+        return bake
+    pixels = min(sum(camera.width * camera.height for camera in probe.field.cameras), FIT_PIXELS)
+    numbers = 8 * counts.blocks * CELL_VOXELS**3
+    moved = coefficients.fit_copies * 4 * counts.channels * counts.kept
+    return max(bake, coefficients.process_bytes + 2 * atlas_bytes + numbers + moved + coefficients.fit_pixel_bytes * pixels)
 
 
 def _visibility_seconds(probe: FieldProbe, grid: VoxelGrid, coefficients: Coefficients) -> float:
