@@ -74,7 +74,8 @@ class RaySamples:
 def sampled_views(scene: Scene, dataset: Dataset, views: NDArray[Any], pixels: int, seed: int, progress: Progress) -> Iterator[RaySamples]:
     """For each of some views, the samples of its share of `pixels` random pixels.
 
-    views: their numbers [V]. Pixels that a mask hides are left out, and those that hit nothing. Raises SnergError when an image cannot be read.
+    views: their numbers [V]. Pixels that a mask hides are left out, and those that hit nothing. Raises SnergError when an image cannot be
+    read.
     """
     rng = np.random.default_rng(seed)
     cameras = [dataset.cameras[view] for view in views.tolist()]
