@@ -11,8 +11,7 @@ JAX_MODULES = {
     f"snerg.core.{name}"
     for name in (
         "baking.fine_tune",
-        "study.study",
-        "study.sweep",
+        "baking.fit_voxels",
         "training.hierarchical_sampler",
         "training.non_finite",
         "training.occupancy_sampler",
