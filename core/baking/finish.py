@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..data.dataset import Dataset
 from ..errors import SnergError, needs_jax
-from ..progress import Progress, silent, within
+from ..progress import Note, Progress, silent, within
 from ..scene.scene import Scene
 from .prune import prune
 
@@ -67,5 +67,9 @@ def _run(
         from .fine_tune import RefineSettings, refine
         from .fit_voxels import FitSettings, fit_voxels
     if name == "fit":
-        return fit_voxels(scene, dataset, FitSettings(background=background), progress)[0]
+        fitted, report = fit_voxels(scene, dataset, FitSettings(background=background), progress)
+        if "skipped" not in report:
+            return fitted
+        progress(1.0, Note(f"The voxels are not fitted: {report['skipped']}."))
+        return replace(scene, about={**scene.about, "fit": report})
     return refine(scene, dataset, RefineSettings(background=background), progress)[0]

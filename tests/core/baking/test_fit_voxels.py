@@ -162,6 +162,9 @@ def test_blocks_without_voxels_lose_their_cells(views):
 def test_stages_run_in_their_order_and_report(views):
     scene, seconds = finish(noisy(), views, Finishing(refine=False, prune=0.01), WHITE)
     assert list(seconds) == ["prune"] and scene.about["prune"]["threshold"] == 0.01
+    told: list[str] = []
+    empty, _ = finish(empty_snerg(), views, Finishing(fit=True), WHITE, lambda fraction, text: told.append(text))
+    assert empty.about["fit"] == {"skipped": "the scene is empty"} and told == ["The voxels are not fitted: the scene is empty."]
     assert Finishing(refine=True, fit=True, prune=0.01).stages(True) == ("prune", "fit")
     assert Finishing(refine=True).stages(False) == ()
     with pytest.raises(SnergError, match="below 1"):
