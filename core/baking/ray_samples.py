@@ -21,7 +21,7 @@ from ..scene.scene import Scene
 FIT_PIXELS = 4_000_000
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
 MAX_SAMPLES = 2**25  # of all views, 11 to 15 bytes each; where there would be more, rays are left out
-MAX_RAY_SAMPLES = 32  # of a ray, the first; more are left out, which lie behind fog
+MAX_RAY_SAMPLES = 256  # of a ray; rays with more, through fog, are left out: without its last samples a ray has another colour
 FRACTION_STEPS = 256  # a sample's position in its stencil is stored in so many steps along each axis
 T_BITS = 18  # of a sample's distance in voxels: a grid has at most 2^17 along an axis
 NO_VOXEL = -1  # in `own_voxels`
@@ -109,12 +109,13 @@ def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any]
     ray = ray[order]
     first = np.flatnonzero(np.diff(ray, prepend=-1))
     rays, lengths = ray[first], np.diff(first, append=len(ray))
-    order = order[np.arange(len(order)) - np.repeat(first, lengths) < MAX_RAY_SAMPLES]
+    short = lengths <= MAX_RAY_SAMPLES
+    order, rays, lengths = order[np.repeat(short, lengths)], rays[short], lengths[short]
     pixels = image[row[rays], column[rays]]
     if pixels.shape[-1] == 3:
         pixels = np.concatenate([pixels, np.full((len(pixels), 1), 255, np.uint8)], axis=-1)
     return RaySamples(
-        first=np.concatenate([np.zeros(1, np.int64), np.cumsum(np.minimum(lengths, MAX_RAY_SAMPLES))]),
+        first=np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths)]),
         base=base[order].astype(_index_type(scene)),
         fraction=np.minimum(fraction[:, order].T * FRACTION_STEPS, FRACTION_STEPS - 1).astype(np.uint8),
         view_directions=(directions[rays] @ scene.view_rotation.T).astype(np.float32),
