@@ -20,6 +20,7 @@ from common import OUT, described, markdown, snerg
 from fit import Measurement, fit, fit_table
 
 from snerg.core.baking.bake import BakeSettings
+from snerg.core.baking.finish import Finishing
 from snerg.core.export.scene_files import read_scene
 from snerg.core.io.files import folder_bytes
 from snerg.core.nerf.checkpoint import read_field
@@ -78,7 +79,7 @@ def compare(path: Path, probe: FieldProbe, settings: BakeSettings, folder: Path)
     name = path.parent.name if path.name == "field" else path.name
     print(f"{name}: {settings.resolution} voxels, {settings.supersampling or 'auto'} samples ...", file=sys.stderr, flush=True)
     began = time.perf_counter()
-    estimated = estimate(probe, probe.field.domain.world_box(), settings, refine=False)
+    estimated = estimate(probe, probe.field.domain.world_box(), settings, finishing=Finishing(refine=False))
     took = time.perf_counter() - began
     size = ("--resolution", str(settings.resolution), "--samples", str(settings.supersampling))
     result, peak = snerg("bake", str(path), *size, "--no-refine", "--out", str(folder / "scene"))

@@ -14,6 +14,7 @@ import numpy as np
 from common import markdown
 
 from snerg.core.baking.bake import BakeSettings
+from snerg.core.baking.finish import Finishing
 from snerg.core.study.coefficients import DEFAULT_COEFFICIENTS, Coefficients, table
 from snerg.core.study.cost_model import Estimate, estimate
 from snerg.core.study.field_probe import FieldProbe
@@ -35,7 +36,9 @@ class Measurement:
 
     def estimate(self, coefficients: Coefficients) -> Estimate:
         """The estimate of this bake."""
-        return estimate(self.probe, self.probe.field.domain.world_box(), self.settings, refine=False, coefficients=coefficients)
+        return estimate(
+            self.probe, self.probe.field.domain.world_box(), self.settings, finishing=Finishing(refine=False), coefficients=coefficients
+        )
 
 
 def fit(measurements: Sequence[Measurement]) -> tuple[Coefficients, dict[str, int]]:

@@ -59,6 +59,9 @@ class Ablation:
 ABLATIONS = {
     "whole": Ablation("the whole method, PNG"),
     "no-refine": Ablation("not refined", ("--no-refine",)),
+    "fit": Ablation("voxels fitted", ("--fit",)),
+    "prune": Ablation("voxels dropped below 0.01", ("--prune", "0.01")),
+    "fit-prune": Ablation("both", ("--fit", "--prune", "0.01")),
     "no-visibility": Ablation("what no camera sees is kept", ("--no-visibility",)),
     "no-network": Ablation("no view dependence", ("--no-network",)),
     "float": Ablation("not quantised", ("--float",)),
@@ -70,6 +73,8 @@ ABLATIONS = {
     "three-quarters": Ablation("{} voxels", scale=0.75),
     "half": Ablation("{} voxels", scale=0.5),
     "quarter": Ablation("{} voxels", scale=0.25),
+    "three-quarters-fit": Ablation("{} voxels, fitted", ("--fit",), 0.75),
+    "half-fit": Ablation("{} voxels, fitted", ("--fit",), 0.5),
 }
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 from .baking.bake import BakeSettings
 from .baking.bake_field import bake_field
-from .commands.bake import check_settings, images_to_refine_on
+from .baking.finish import Finishing
+from .commands.bake import check_settings, training_images
 from .commands.check_out import check_out
 from .commands.train import train_field
 from .data.dataset import Dataset
@@ -63,6 +64,8 @@ def bake(
     resolution: int | None = None,
     settings: BakeSettings | None = None,
     refine: bool = True,
+    fit: bool = False,
+    prune: float = 0.0,
     codec: str = "png",
     quality: int | None = None,
     progress: Progress = silent,
@@ -70,7 +73,8 @@ def bake(
     """Bake a field inside a box into a scene (section 5 of the paper; JAX), and write it to the folder `out` if one is given.
 
     box: all that the field holds when None. resolution: voxels along the longest side, in place of that of `settings`. refine:
-    fine-tune the view-dependence network on the training images. codec, quality: of the pictures in `out`, see `export_scene`.
+    fine-tune the view-dependence network on the training images. fit: fit the voxels to them, which takes longer. prune: drop voxels
+    whose share of every training pixel is smaller, 0 to 1. codec, quality: of the pictures in `out`, see `export_scene`.
     Raises SnergError on bad input, and for settings that change nothing in this field; Cancelled when `progress` does.
     """
     chosen = settings or BakeSettings()
@@ -80,8 +84,9 @@ def bake(
     check_storable(chosen.quantise, stored)
     if out is not None:
         check_out(Path(out), "scene")
-    dataset = images_to_refine_on(field) if refine and chosen.network else None
-    scene, _ = bake_field(field, box or field.domain.world_box(), chosen, dataset, within(progress, 0, 0.97))
+    finishing = Finishing(refine and chosen.network, fit, prune)
+    dataset = training_images(field, finishing)
+    scene, _ = bake_field(field, box or field.domain.world_box(), chosen, dataset, within(progress, 0, 0.97), finishing=finishing)
     if out is not None:
         export_scene(scene, out, codec=codec, quality=quality, progress=within(progress, 0.97, 1))
     return scene

@@ -40,7 +40,7 @@ class SNERG_OT_bake(TaskOperator, bpy.types.Operator):
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the new version and put it in use. Warns where the box holds nothing."""
         about = result.get("about", {})
-        quality = about.get("refine", {}).get("psnr_after")
+        quality = (about.get("fit") or about.get("refine", {})).get("psnr_after")
         before, folder = project.scene, project.version_made("scene", result["path"])
         remember(project, "scene", folder, {**result, "psnr": quality})
         made = show_scene(scene, project, folder, before)
@@ -65,7 +65,14 @@ def baking_arguments(context: bpy.types.Context, project: Project) -> list[str]:
     if box := box_to_bake(context, project):
         write_bytes(project.box, box)
         arguments += ["--box", str(project.box)]
-    return arguments if settings.refine else [*arguments, "--no-refine"]
+    return [*arguments, *finishing_arguments(settings)]
+
+
+def finishing_arguments(settings: Any) -> list[str]:
+    """The command-line options for what is done after the bake."""
+    chosen = ("--no-refine", not settings.refine), ("--fit", settings.fit)
+    arguments = [name for name, given in chosen if given]
+    return [*arguments, "--prune", f"{settings.prune:.4g}"] if settings.prune else arguments
 
 
 def box_to_bake(context: bpy.types.Context, project: Project) -> bytes | None:

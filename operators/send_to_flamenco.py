@@ -19,7 +19,7 @@ from ..snerg_addon import flamenco
 from ..snerg_addon.preferences import flamenco_url
 from ..snerg_addon.project import Project
 from ..snerg_addon.scene_object import snerg_objects
-from .bake import box_to_bake
+from .bake import box_to_bake, finishing_arguments
 from .farm_frames import frame_numbers
 from .study import study_folder, study_options, target_options
 from .task_operator import MISSING, TaskOperator
@@ -192,4 +192,4 @@ def kept_box(context: bpy.types.Context, project: Project) -> str:
 def bake_options(context: bpy.types.Context) -> str:
     """The command-line options for the Bake panel's settings, apart from resolution and box."""
     settings = context.scene.snerg
-    return f"--samples {settings.samples}" + ("" if settings.refine else " --no-refine")
+    return " ".join([f"--samples {settings.samples}", *finishing_arguments(settings)])

@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..core.baking.bake import BakeSettings
+from ..core.baking.finish import Finishing
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.nerf.checkpoint import read_field
@@ -47,6 +48,12 @@ def bake_settings(scene: bpy.types.Scene) -> BakeSettings:
     return BakeSettings(resolution=settings.resolution, voxel_size=settings.voxel_size or None, supersampling=settings.samples)
 
 
+def finishing_of(scene: bpy.types.Scene) -> Finishing:
+    """What the panel's settings do after a bake."""
+    settings = scene.snerg
+    return Finishing(settings.refine, settings.fit, settings.prune)
+
+
 def lines(context: bpy.types.Context) -> list[str]:
     """The estimate for the panel's settings and the box, in a few short lines; none where the field has no probe yet."""
     try:
@@ -70,14 +77,14 @@ def _estimated(context: bpy.types.Context, settings: BakeSettings) -> dict[str, 
         return None
     box = box_of(context.scene)
     volume = box_from_blender(box) if box and probe.field.ndc is None else probe.field.domain.world_box()
-    return _cached(probe, volume, settings, context.scene.snerg.refine, resolution(context.scene))
+    return _cached(probe, volume, settings, finishing_of(context.scene), resolution(context.scene))
 
 
-def _cached(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, size: tuple[int, int]) -> dict[str, Any]:
+def _cached(probe: FieldProbe, box: Box, settings: BakeSettings, finishing: Finishing, size: tuple[int, int]) -> dict[str, Any]:
     """The estimate, cached because a panel is drawn far more often than its settings change."""
-    key = json.dumps([id(probe), box.to_json(), str(settings), refine, size])
+    key = json.dumps([id(probe), box.to_json(), str(settings), str(finishing), size])
     if key not in _estimates:
-        found = estimate(probe, box, settings, refine, size)
+        found = estimate(probe, box, settings, finishing, size)
         if len(_estimates) > MAX_CACHED:
             _estimates.clear()
         _estimates[key] = found.to_json()
@@ -86,6 +93,6 @@ def _cached(probe: FieldProbe, box: Box, settings: BakeSettings, refine: bool, s
 
 def summary(value: dict[str, Any]) -> list[str]:
     """Two lines for an estimate (`Estimate.to_json`)."""
-    seconds = value["bake_seconds"] + value["seconds"].get("refine", 0.0)
+    seconds = value["bake_seconds"] + value["finishing_seconds"]
     memory, files = (file_size(1e6 * value[name]) for name in ("peak_megabytes", "megabytes"))
     return [f"about {duration(seconds)}, {memory} of memory", f"{files} as PNG, {duration(value['preview'])} per preview"]

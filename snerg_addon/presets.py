@@ -48,5 +48,5 @@ def takes(preset: Preset, context: bpy.types.Context) -> str:
     found = estimate_panel.estimated(context, BakeSettings(resolution=preset.resolution))
     if found is None:
         return f"{training} to train, {preset.resolution} voxels"
-    seconds = found["bake_seconds"] + found["seconds"].get("refine", 0.0)
+    seconds = found["bake_seconds"] + found["finishing_seconds"]
     return f"{training} + {duration(seconds)}, {file_size(1e6 * found['megabytes'])}"

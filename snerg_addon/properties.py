@@ -260,6 +260,21 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         description="After baking, fine-tune the highlights on the training images, because voxels change them slightly",
         default=True,
     )
+    fit: BoolProperty(
+        name="Fit Voxels",
+        description="After baking, fit voxels and highlights to the training images. Takes longer, and gains most with few voxels",
+        default=False,
+    )
+    prune: FloatProperty(
+        name="Drop Below",
+        description="Drop voxels that make up less than this share of every training pixel, for smaller files. 0: drop none",
+        default=0.0,
+        min=0.0,
+        soft_max=0.05,
+        max=0.99,
+        precision=3,
+        step=0.1,
+    )
 
     transparent: BoolProperty(name="Transparent", description="Render the preview with a transparent background", default=False)
     background: FloatVectorProperty(

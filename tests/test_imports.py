@@ -11,6 +11,7 @@ JAX_MODULES = {
     f"snerg.core.{name}"
     for name in (
         "baking.fine_tune",
+        "baking.fit_voxels",
         "study.measure",
         "study.prepare",
         "study.results",

@@ -1,4 +1,4 @@
-"""Bakes a field, then fine-tunes the scene's network on the training images. Uses JAX."""
+"""Bakes a field, then finishes the scene on the training images. Uses JAX."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ..progress import Progress, silent, within
 from ..scene.scene import Scene
 from ..training.provenance import background_of, trained
 from .bake import BakeSettings
+from .finish import DEFAULT_FINISHING, Finishing, finish
 
 if TYPE_CHECKING:
     from ..nerf.field import Field
@@ -26,23 +27,22 @@ def bake_field(
     dataset: Dataset | None,
     progress: Progress = silent,
     resume: Path | None = None,
+    finishing: Finishing = DEFAULT_FINISHING,
 ) -> tuple[Scene, dict[str, float]]:
-    """Bake a field inside a box, and fine-tune the scene's network if there is a dataset.
+    """Bake a field inside a box, and finish the scene on the images of a dataset if there is one.
 
-    resume: see `bake`. Returns the scene and the seconds of each stage, {"bake"} or {"bake", "refine"}. Raises SnergError without JAX.
+    resume: see `bake`. Returns the scene and the seconds of each stage: "bake", and those of the finishing. Raises SnergError without JAX.
     """
     with needs_jax():
         from .bake import bake
-        from .fine_tune import RefineSettings, refine
     began = time.perf_counter()
-    share = 0.97 if dataset is None else 0.7
+    share = 0.97 if dataset is None else 0.3 if finishing.fit else 0.7
     scene = bake(field, box, field.cameras, settings, within(progress, 0, share), resume)
     known = trained(field.about)
     decided = {"decisions": field.about.get("decisions", [])}
     scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
     if dataset is not None:
-        began = time.perf_counter()
-        scene, _ = refine(scene, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))
-        seconds["refine"] = time.perf_counter() - began
+        scene, finished = finish(scene, dataset, finishing, background_of(known), within(progress, share, 0.97))
+        seconds |= finished
     return scene, {name: round(value, 2) for name, value in seconds.items()}

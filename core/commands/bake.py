@@ -24,6 +24,7 @@ from .info import info
 if TYPE_CHECKING:
     from ..nerf.field import Field
 from ..baking.bake_field import bake_field
+from ..baking.finish import Finishing
 from .check_out import check_out
 from .command import Command
 from .options import add_bake_options, add_codec_options, artifact, codec_settings, path
@@ -40,25 +41,29 @@ def bake_scene(
     refine: bool = True,
     progress: Progress = silent,
     codec: CodecSettings = PNG,
+    fit: bool = False,
+    prune: float = 0.0,
 ) -> Result:
-    """Bake a field inside a box into a scene (JAX), then fine-tune its view-dependence network on the training images.
+    """Bake a field inside a box into a scene (JAX), then finish it on the training images.
 
-    box: a JSON file (see Box.from_json); the field's whole domain when None. Raises SnergError on bad input, and for settings
-    that change nothing in this field; Cancelled when `progress` does. Then `out` is as it was, and what is finished lies in a
-    folder beside it (.NAME.bake), from which the same bake resumes.
+    box: a JSON file (see Box.from_json); the field's whole domain when None. refine: fine-tune the view-dependence network. fit, prune:
+    see Finishing. Raises SnergError on bad input, and for settings that change nothing in this field; Cancelled when `progress` does.
+    Then `out` is as it was, and what the bake itself finished lies in a folder beside it (.NAME.bake), from which the same bake resumes.
     """
     check_out(out, "scene", field)
     check_storable(settings.quantise, codec)
     source = read_field(field)
     check_settings(settings, source)
     volume = Box.read(box) if box is not None else source.domain.world_box()
-    dataset = images_to_refine_on(source) if refine and settings.network else None
+    finishing = Finishing(refine and settings.network, fit, prune)
+    dataset = training_images(source, finishing)
     unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
-    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished)
+    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished, finishing)
     write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
     discard(unfinished)
     about = snerg.about
-    result = {"seconds": seconds, "refined": "psnr_after" in about.get("refine", {}), **info(out)}
+    done = {"refined": "psnr_after" in about.get("refine", {}), "fitted": "psnr_after" in about.get("fit", {})}
+    result = {"seconds": seconds, **done, **info(out)}
     return result | ({"warning": about["bake"]["warning"]} if "warning" in about.get("bake", {}) else {})
 
 
@@ -71,14 +76,19 @@ def check_settings(settings: BakeSettings, field: Field) -> None:
         raise SnergError("The field has no cameras, so that nothing is culled; bake it without --no-visibility.")
 
 
-def images_to_refine_on(field: Field) -> Dataset | None:
-    """The training images of a field; None for a diffuse field, and for an imported one. Raises SnergError where they are missing."""
-    if field.network is None or not field.dataset:
+def training_images(field: Field, finishing: Finishing) -> Dataset | None:
+    """The images that a field was trained on; None where the finishing does not need them.
+
+    Raises SnergError where they are missing, and where an imported field has none to be fitted to or pruned by.
+    """
+    stages = finishing.stages(field.network is not None)
+    if not field.dataset and ("fit" in stages or "prune" in stages):
+        raise SnergError("The field was imported, and does not say what it was trained on; bake it without --fit and --prune.")
+    if not stages or not field.dataset:
         return None
     if not Path(field.dataset).exists():
-        raise SnergError(
-            f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake with --no-refine."
-        )
+        instead = "with --no-refine" if stages == ("refine",) else "with --no-refine and without --fit and --prune"
+        raise SnergError(f"The dataset that the field was trained on is no longer at {field.dataset}; put it back, or bake {instead}.")
     return read_dataset(Path(field.dataset), "train", options_of(trained(field.about)))
 
 
@@ -105,7 +115,8 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
         network=options.network,
     )
     codec = codec_settings(options) or PNG
-    return bake_scene(options.field, options.out, settings, options.box, options.refine, progress, codec)
+    refine, fit, prune = options.refine, options.fit, options.prune
+    return bake_scene(options.field, options.out, settings, options.box, refine, progress, codec, fit, prune)
 
 
 COMMAND = Command("bake", "bake a field into a scene", add_options, run)

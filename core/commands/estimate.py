@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..artifact import Result, kind_of, open_field
 from ..baking.bake import BakeSettings
+from ..baking.finish import DEFAULT_FINISHING, Finishing
 from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
@@ -31,7 +32,7 @@ def estimate(
     training: TrainSettings,
     settings: BakeSettings = DEFAULT_BAKE,
     box: Path | None = None,
-    refine: bool = True,
+    finishing: Finishing = DEFAULT_FINISHING,
     size: tuple[int, int] = (800, 800),
     options: DatasetOptions = DEFAULT_OPTIONS,
     probe: Path | None = None,
@@ -54,7 +55,7 @@ def estimate(
         return {"kind": kind, "path": str(path), **cost_model.training(read_dataset(path, "train", options), training)}
     found = _field_probe(path, probe, progress)
     volume = Box.read(box) if box is not None else found.field.domain.world_box()
-    result = cost_model.estimate(found, volume, settings, refine, size)
+    result = cost_model.estimate(found, volume, settings, finishing, size)
     return {"kind": kind, "path": str(path), "survey_seconds": round(found.seconds, 2), **result.to_json()}
 
 
@@ -96,7 +97,8 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     training = settings_of(options.preset, options.minutes, options.steps, 0, {})
     settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, supersampling=options.samples)
     size = options.width, options.height
-    return estimate(options.path, training, settings, options.box, options.refine, size, probe=options.probe, progress=progress)
+    finishing = Finishing(options.refine, options.fit, options.prune)
+    return estimate(options.path, training, settings, options.box, finishing, size, probe=options.probe, progress=progress)
 
 
 def text(result: Result) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..artifact import artifact_at
 from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings
+from ..baking.finish import Finishing
 from ..data.dataset import DatasetOptions
 from ..errors import SnergError
 from ..export.codecs import LOSSLESS, SUFFIXES, CodecSettings
@@ -88,6 +89,14 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
         help="samples a voxel; auto (default): doubled until the error stops falling",
     )
     parser.add_argument("--no-refine", dest="refine", action="store_false", help="do not fine-tune the view-dependence network")
+    parser.add_argument("--fit", action="store_true", help="fit the voxels to the training images: higher quality, most on coarse grids")
+    parser.add_argument(
+        "--prune",
+        type=fraction,
+        default=Finishing.prune,
+        metavar="SHARE",
+        help="drop voxels with a smaller share of every training pixel, such as 0.01: fewer bytes (default: %(default)g, none)",
+    )
 
 
 def add_codec_options(parser: argparse.ArgumentParser, default: str) -> None:

@@ -40,6 +40,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg study`. Raises SnergError without JAX or matplotlib."""
     with needs_jax():
+        import jax  # noqa: F401  # baking needs it
+
         from ..study.study import study, study_part
     settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box, paper=options.paper)
     target = StudyTarget(options.target_db, options.target_mb, options.target_ms)

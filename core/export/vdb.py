@@ -92,7 +92,7 @@ def blocks(scene: Scene) -> Iterator[tuple[tuple[int, int, int], NDArray[Any], N
 
 def opacity(scene: Scene, alpha: NDArray[Any]) -> NDArray[Any]:
     """The opacities that a scene's voxels have in its renders, elementwise: with the correction where the scene has it."""
-    return alpha * opacity_factor(alpha) if scene.opacity_correction else alpha
+    return alpha * opacity_factor(np, alpha) if scene.opacity_correction else alpha
 
 
 def density_of(alpha: NDArray[Any], length: float) -> NDArray[Any]:

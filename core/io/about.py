@@ -26,7 +26,7 @@ def check_about_field(value: Any) -> dict[str, Any]:
 
 
 def check_about_scene(value: Any) -> dict[str, Any]:
-    """The metadata of a scene: its training, its bake and its fine-tuning."""
+    """The metadata of a scene: its training, its bake and its finishing."""
     about = finite_record(value)
     trained = record(about.get("trained", {}), "trained")
     _check_trained(trained)
@@ -34,6 +34,8 @@ def check_about_scene(value: Any) -> dict[str, Any]:
     _check_bake(record(about.get("bake", {}), "bake"))
     if about.get("refine") is not None:
         _check_refine(record(about["refine"], "refine"))
+    if about.get("fit") is not None:
+        _check_refine(record(about["fit"], "fit"))
     return about
 
 
@@ -116,6 +118,7 @@ def _check_bake(bake: dict[str, Any]) -> None:
 
 
 def _check_refine(report: dict[str, Any]) -> None:
+    """The report of fine-tuning, or of fitting the voxels."""
     if "gain_db" in report:
         for key in ("gain_db", "psnr_before", "psnr_after"):
             number(report.get(key), key)

@@ -34,6 +34,9 @@ class MarchOutput:
     transmittance: NDArray[Any]
 
 
+RecordSamples = Callable[[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]], None]
+"""Called with the samples of a pass: ray numbers [n], distances t from the entry point [n], and stencils as `find_stencils` returns them,
+base [n] and fraction [3, n]. Threads call it in any order, so that whoever needs the samples of a ray in order sorts them by t."""
 ViewResidual = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[Any]]
 """(straight colour [n, 3], straight features [n, 4], ray numbers [n]) to the view-dependent residual [n, 3] of eq. 7."""
 
@@ -46,6 +49,7 @@ class RayMarcher:
     skip: jump over empty bricks and voxels; without, every sample is visited, with the same result.
     visited: bool [M * 32^3] or None; set to True at the voxel nearest to each sample whose stencil is occupied.
     view_residual: evaluates view dependence at every sample (the ablation of table 1); None evaluates none.
+    record: is given every sample whose stencil is occupied, and a few that lie behind the sample with which a ray ends.
     cancelled: asked once a step; True ends the march.
     """
 
@@ -60,10 +64,11 @@ class RayMarcher:
         visited: NDArray[Any] | None = None,
         view_residual: ViewResidual | None = None,
         cancelled: Callable[[], bool] = lambda: False,
+        record: RecordSamples | None = None,
     ) -> None:
         self.acceleration, self.queue, self.output, self.batch_size = acceleration, queue, output, batch_size
         self.stop_transmittance, self.skip, self.cancelled = np.float32(stop_transmittance), skip, cancelled
-        self.visited, self.view_residual = visited, view_residual
+        self.visited, self.view_residual, self.record = visited, view_residual, record
         self.interpolate = Interpolator(acceleration)
         # Brick numbers are computed in floats, which are exact up to 2^24 (single precision).
         self.number_type = np.float32 if math.prod(acceleration.bricks) < 2**24 else np.float64
@@ -219,6 +224,8 @@ class RayMarcher:
         used = self.acceleration.brick_distance.take(brick_number, mode="clip") == 0
         used &= t < np.tile(state[T_END], SAMPLES_PER_PASS)
         base, fraction = self.find_stencils(point, brick_number)
+        if self.record is not None:
+            self.record_occupied(rows, t, base, fraction, used)
         values = self.interpolate(base, fraction)
         if self.view_residual is not None:
             self.add_view_dependence(values, np.tile(self.index.take(rows), SAMPLES_PER_PASS))
@@ -234,6 +241,13 @@ class RayMarcher:
         values[:, -1] *= t
         self.add_values(rows, np.einsum("kn,knc->nc", weight, values.reshape(SAMPLES_PER_PASS, count, -1)))
         self.advance[rows] = SAMPLES_PER_PASS
+
+    def record_occupied(self, rows: NDArray[Any], t: NDArray[Any], base: NDArray[Any], fraction: NDArray[Any], used: NDArray[Any]) -> None:
+        """Give `record` the used samples of a pass, [SAMPLES_PER_PASS * n] of rays [n], whose stencil is occupied."""
+        assert self.record is not None
+        some = np.flatnonzero(used)
+        some = some[self.acceleration.voxel_skip[base[some]] == 0]
+        self.record(np.tile(self.index.take(rows), SAMPLES_PER_PASS)[some], t[some], base[some], fraction[:, some])
 
     def add_values(self, rows: NDArray[Any], values: NDArray[Any]) -> None:
         """Add values [n, C] to those of rays [n]; each row is written as one item of void type, which NumPy scatters fastest."""

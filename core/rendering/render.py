@@ -25,7 +25,7 @@ from .acceleration import acceleration_of
 from .early_termination import stop_transmittance_for
 from .opacity import correct_opacity
 from .packet_traversal import PACKET_RAYS, intersect_grid, start_batch
-from .ray_marcher import MarchOutput, RayMarcher
+from .ray_marcher import MarchOutput, RayMarcher, RecordSamples
 from .ray_queue import RayBatch, RayQueue
 
 MAX_CHUNK_RAYS = 2**17  # rays that a thread sets up at once: packet traversal takes few NumPy calls on many packets
@@ -118,15 +118,16 @@ def march_rays(
     progress: Progress = silent,
     near: float = 0.0,
     visited: NDArray[Any] | None = None,
+    record: RecordSamples | None = None,
 ) -> Composited:
     """Composite rays of the world through a scene's grid, without view dependence (eqs. 5, 6).
 
     origins, directions: [N, 3] float64, directions of unit length. It is fastest when every 64 consecutive rays are close together.
     near: world units along the ray. visited: bool [M * 32^3] or None; set to True at the voxels that samples fell into (see RayMarcher);
-    these are always a block's own voxels, not its apron.
+    these are always a block's own voxels, not its apron. record: is given the samples (see RayMarcher).
     """
     span = np.full(len(origins), near), None
-    return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, span, visited)
+    return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, span, visited, record)
 
 
 def _march(
@@ -137,6 +138,7 @@ def _march(
     progress: Progress,
     span: tuple[NDArray[Any], NDArray[Any] | None],
     visited: NDArray[Any] | None = None,
+    record: RecordSamples | None = None,
 ) -> Composited:
     """`march_rays` of `count` rays that `rays` generates a part at a time: (origins, directions), each [n, 3]. span: see `_seen_span`."""
     march = _March(scene, rays, count, settings, span)
@@ -148,7 +150,8 @@ def _march(
     view_residual = march.view_residual if march.per_sample else None
 
     def work(cancelled: Callable[[], bool]) -> None:
-        RayMarcher(march.acceleration, queue, march.output, settings.batch, stop, settings.skip, visited, view_residual, cancelled).run()
+        output, batch, skip = march.output, settings.batch, settings.skip
+        RayMarcher(march.acceleration, queue, output, batch, stop, skip, visited, view_residual, cancelled, record).run()
 
     _run_threads(work, settings.threads, lambda: progress(queue.finished / max(count, 1), "Marching"))
     return march.result(queue.samples)

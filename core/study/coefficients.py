@@ -50,6 +50,13 @@ class Coefficients:
     refine_pixels: float = _coefficient(
         1e6, "rays", "whose time fine-tuning takes: four times RefineSettings.pixels, because they are scattered over the images", BY_HAND
     )
+    recorded_ray: float = _coefficient(
+        2.0, "rays", "time of a training ray whose samples are recorded over that of a ray of a preview: they are scattered", BY_HAND
+    )
+    fitted_ray: float = _coefficient(13.0, "rays", "time of fitting voxels to a marched ray in rays of a preview, both passes", BY_HAND)
+    fit_seconds: float = _coefficient(6.0, "s", "of fitting voxels, whatever the rays: compiling, and measuring views kept out", BY_HAND)
+    fit_copies: float = _coefficient(6.0, "", "float copies of the fitted voxels: values, two moments and what a step makes", BY_HAND)
+    fit_pixel_bytes: float = _coefficient(60.0, "bytes", "memory of a fit for each pixel marched: those that hit have ten samples", BY_HAND)
     step_queries: float = _coefficient(
         4.0, "queries", "time of a sample of a training step in queries of the field: forward, backward and the optimizer", TRAININGS
     )

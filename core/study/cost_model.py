@@ -7,6 +7,7 @@ the times that the probe measured and with coefficients (coefficients.py). It ta
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..baking.bake import AUTO_SUPERSAMPLING, BakeSettings, check_voxel_size
+from ..baking.finish import DEFAULT_FINISHING, FINISHING_STAGES, Finishing
 from ..baking.memory import count_blocks
 from ..baking.occupied_voxels import candidate_blocks
+from ..baking.prune import PRUNING_PIXELS
+from ..baking.ray_samples import FIT_PIXELS
 from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
 from ..geometry.box import Box
@@ -50,15 +54,21 @@ class Estimate:
 
     @property
     def bake(self) -> float:
-        """Seconds of the whole bake, without fine-tuning."""
-        return sum(value for name, value in self.seconds.items() if name != "refine")
+        """Seconds of the whole bake, without its finishing."""
+        return sum(value for name, value in self.seconds.items() if name not in FINISHING_STAGES)
+
+    @property
+    def finishing(self) -> float:
+        """Seconds of pruning, fitting and fine-tuning."""
+        return sum(value for name, value in self.seconds.items() if name in FINISHING_STAGES)
 
     def to_json(self) -> dict[str, Any]:
         """JSON values, with seconds and megabytes rounded to significant digits."""
         rounded = {name: round(value, 3) for name, value in self.seconds.items()}
         sizes = {"peak_megabytes": round(self.peak_megabytes), "megabytes": round(self.megabytes, 1)}
         times = {"preview": round(self.preview, 4), "tables": round(self.tables, 3)}
-        return {"bake_seconds": round(self.bake, 2), **asdict(self), "seconds": rounded, **sizes, **times}
+        whole = {"bake_seconds": round(self.bake, 2), "finishing_seconds": round(self.finishing, 2)}
+        return {**whole, **asdict(self), "seconds": rounded, **sizes, **times}
 
 
 @dataclass(frozen=True)
@@ -79,16 +89,16 @@ def estimate(
     probe: FieldProbe,
     box: Box,
     settings: BakeSettings = DEFAULT_BAKE,
-    refine: bool = True,
+    finishing: Finishing = DEFAULT_FINISHING,
     size: tuple[int, int] = (800, 800),
     coefficients: Coefficients = DEFAULT_COEFFICIENTS,
 ) -> Estimate:
     """The cost of a bake with `bake_field` and of a preview of `size` pixels, on this machine under the same load as during the probe.
 
-    Files: a kept voxel takes as many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay; a scene
-    of floats is not compressed. Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which
-    cuts through the field uncovers voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in
-    normalised device coordinates.
+    finishing: what is done after the bake; pruning takes time, but how many bytes it saves is not modelled. Files: a kept voxel takes as
+    many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay; a scene of floats is not compressed.
+    Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through the field uncovers
+    voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in normalised device coordinates.
     """
     counts, rates, field = _count(probe, box, settings), probe.rates, probe.field
     atlas_bytes = counts.blocks * CELL_VOXELS**3 * counts.channels * (1 if settings.quantise else 4)
@@ -96,14 +106,10 @@ def estimate(
     channels = DIFFUSE_CHANNELS if field.network is None else DEFERRED_CHANNELS  # of the small bake
     png_bytes = counts.kept * rates.kept_voxel_bytes * counts.finer**-coefficients.voxel_bytes_decay * counts.channels / channels
     seconds = _stage_seconds(probe, counts, settings, coefficients)
-    memory = coefficients.process_bytes + coefficients.cell_copies * atlas_bytes
-    if refine and counts.channels == DEFERRED_CHANNELS and field.dataset:
-        memory += coefficients.refine_bytes
-        marched = rates.preview_view * len(field.cameras) + ray * coefficients.refine_pixels
-        seconds["refine"] = coefficients.refine_seconds + marched
+    seconds |= _finishing_seconds(probe, finishing, counts.channels == DEFERRED_CHANNELS, ray, coefficients)
     return Estimate(
         seconds=seconds,
-        peak_megabytes=memory / 1e6,
+        peak_megabytes=_peak_bytes(probe, counts, atlas_bytes, seconds, coefficients) / 1e6,
         megabytes=(png_bytes if settings.quantise else atlas_bytes) / 1e6,
         preview=rates.preview_view + coefficients.preview_factor * size[0] * size[1] * ray,
         tables=counts.blocks * rates.acceleration_block,
@@ -166,6 +172,38 @@ def _stage_seconds(probe: FieldProbe, counts: _Counts, settings: BakeSettings, c
         "samples": rates.sample * tested,
         "prefilter": coefficients.prefilter_factor * counts.kept * (rates.kept_voxel + counts.samples * rates.sample),
     }
+
+
+def _finishing_seconds(probe: FieldProbe, finishing: Finishing, network: bool, ray: float, coefficients: Coefficients) -> dict[str, float]:
+    """Seconds of pruning, fitting and fine-tuning, those that the field's images allow. network: whether the scene has one. ray: seconds
+    of a ray of a preview, on average over those that hit and miss the scene."""
+    field, pixels = probe.field, sum(camera.width * camera.height for camera in probe.field.cameras)
+    if not field.dataset:
+        return {}
+    views = probe.rates.preview_view * len(field.cameras)
+    fitted, pruned = min(pixels, FIT_PIXELS), min(pixels, PRUNING_PIXELS)
+    seconds = {
+        "prune": views + coefficients.recorded_ray * ray * pruned,
+        "fit": coefficients.fit_seconds + views + (coefficients.recorded_ray + coefficients.fitted_ray) * ray * fitted,
+        "refine": coefficients.refine_seconds + views + ray * coefficients.refine_pixels,
+    }
+    return {name: seconds[name] for name in finishing.stages(network)}
+
+
+def _peak_bytes(probe: FieldProbe, counts: _Counts, atlas_bytes: int, stages: Mapping[str, float], coefficients: Coefficients) -> float:
+    """Memory of a bake with its finishing, of which the stage that takes most counts. stages: their names.
+
+    The fit holds the atlas and its numbers, the voxels with their moments, and the samples of the pixels.
+    """
+    most = coefficients.cell_copies * atlas_bytes
+    if "refine" in stages:
+        most += coefficients.refine_bytes
+    if "fit" in stages:
+        pixels = min(sum(camera.width * camera.height for camera in probe.field.cameras), FIT_PIXELS)
+        numbers = 8 * counts.blocks * CELL_VOXELS**3
+        moved = coefficients.fit_copies * 4 * counts.channels * counts.kept
+        most = max(most, 2 * atlas_bytes + numbers + moved + coefficients.fit_pixel_bytes * pixels)
+    return coefficients.process_bytes + most
 
 
 def _visibility_seconds(probe: FieldProbe, grid: VoxelGrid, coefficients: Coefficients) -> float:

@@ -287,7 +287,11 @@ def _samples_of(snerg: Scene) -> Effect:
 
 
 def _refine_of(snerg: Scene) -> Effect:
-    report = snerg.about.get("refine")
+    report, fitted = snerg.about.get("refine"), snerg.about.get("fit") or {}
+    if "gain_db" in fitted:
+        gain, seconds = fitted["gain_db"], sum(fitted["seconds"].values())
+        evidence = f"Voxels and network were fitted: {fitted['psnr_before']:.2f} to {fitted['psnr_after']:.2f} dB on views kept out."
+        return Effect(Decision(REFINE, gain > 0, evidence, gain, 0.0), f"{seconds:.1f} seconds after the bake.", f"{seconds:.1f} seconds.")
     if snerg.network is None:
         return Effect(Decision(REFINE, False, "The scene is diffuse: there is no network to fine-tune."), "", "")
     if not report or "gain_db" not in report:

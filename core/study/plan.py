@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..baking.bake import AUTO_SUPERSAMPLING, BAKE_VERSION, BakeSettings
+from ..baking.finish import Finishing
 from ..errors import SnergError
 from ..export.codecs import PNG, CodecSettings
 from ..io.json_files import json_bytes
@@ -82,6 +83,8 @@ class Configuration:
     march: MarchSettings = MarchSettings()
     field: str = ""  # name of the field among the study's; '' where there is one
     page: bool = False  # whether it is shown as in the web page: 8 bits a pixel
+    fit: bool = False  # whether the voxels are fitted, in place of the network alone
+    prune: float = 0.0  # see Finishing
 
     @property
     def key(self) -> str:
@@ -93,11 +96,17 @@ class Configuration:
         """The key of the bake alone: configurations with the same one share a bake."""
         return Configuration(bake=self.bake, field=self.field).key
 
+    @property
+    def finishing(self) -> Finishing:
+        """What is done after the bake."""
+        return Finishing(self.refine, self.fit, self.prune)
+
     def to_json(self) -> dict[str, Any]:
-        """JSON values of all that changes a result."""
+        """JSON values of all that changes a result; "fit" and "prune" only where they do, so that rows without them keep their keys."""
         march = {"tolerance": self.march.tolerance, "stop_transmittance": self.march.stop_transmittance}
         march |= {"per_sample_network": self.march.per_sample_network}
         rest = {"refine": self.refine, "codec": self.codec.to_json(), "field": self.field, "page": self.page}
+        rest |= {name: value for name, value in (("fit", self.fit), ("prune", self.prune)) if value}
         return {"bake": self.bake.to_json(), "version": BAKE_VERSION, "march": march, **rest}
 
     @classmethod
@@ -110,6 +119,8 @@ class Configuration:
             MarchSettings(**value["march"]),
             value["field"],
             value["page"],
+            value.get("fit", False),
+            value.get("prune", 0.0),
         )
 
 
@@ -128,29 +139,44 @@ class PlanStep:
 
 RESOLUTION, SAMPLES, CODEC, TOLERANCE = "resolution", "samples a voxel", "codec", "tolerance"
 ALPHA, VISIBILITY, BITS, NETWORK, REFINE, TRAINING = "alpha threshold", "visibility threshold", "bits", "network", "refining", "training"
+FITTING, PRUNING = "fitting", "pruning"
+PRUNED = (0.005, 0.01, 0.02)  # shares of a pixel below which voxels are dropped
 WATERFALL = "stages"
 STAGES = ("grid", "culling", "quantising", "refining", "codec", "web page")
 
 
 def plan_steps(
-    baseline: Configuration, features: bool, cameras: bool, refinable: bool, codecs: Sequence[str], fields: Sequence[str] = ()
+    baseline: Configuration,
+    features: bool,
+    cameras: bool,
+    refinable: bool,
+    codecs: Sequence[str],
+    fields: Sequence[str] = (),
+    images: bool = False,
 ) -> list[PlanStep]:
     """The configurations to measure, in order: coarse resolutions; the baseline; variants that reuse its bake; variations of one parameter
     that need a bake; other ways to store and march the coarse resolutions. Each configuration is listed once, with all its parameters.
 
     features: whether the field is view-dependent. cameras: whether it knows its training cameras. refinable: whether its training images
-    are there. codecs: names that can be written here. fields: names of fields with other lengths of training.
+    are there to fine-tune it on. codecs: names that can be written here. fields: names of fields with other lengths of training.
+    images: whether the training images are there, be it a diffuse field.
     """
     found: dict[str, PlanStep] = {}
     baseline = baseline if refinable else replace(baseline, refine=False)
-    for config, parameter, value in _variations(baseline, features, cameras, refinable, codecs, fields):
+    for config, parameter, value in _variations(baseline, features, cameras, refinable, codecs, fields, images or refinable):
         parameters = found[config.key].parameters if config.key in found else ()
         found[config.key] = PlanStep(config, parameters if (parameter, value) in parameters else (*parameters, (parameter, value)))
     return list(found.values())
 
 
 def _variations(
-    baseline: Configuration, features: bool, cameras: bool, refinable: bool, codecs: Sequence[str], fields: Sequence[str]
+    baseline: Configuration,
+    features: bool,
+    cameras: bool,
+    refinable: bool,
+    codecs: Sequence[str],
+    fields: Sequence[str],
+    images: bool,
 ) -> Iterator[tuple[Configuration, str, str]]:
     size = baseline.bake.resolution
     coarse = [with_bake(baseline, resolution=max(2, round(share * size))) for share in COARSE_SHARES]
@@ -167,6 +193,8 @@ def _variations(
     if refinable:
         yield baseline, REFINE, "refined"
         yield replace(baseline, refine=False), REFINE, "not refined"
+    if images:
+        yield from _finished(baseline, coarse)
     yield from _stages(baseline, cameras, refinable, stored)
     if features:
         yield replace(with_bake(baseline, network=False), refine=False), NETWORK, "none"
@@ -178,6 +206,20 @@ def _variations(
             yield replace(config, codec=codec), f"{RESOLUTION}, {codec_text(codec)}", f"{config.bake.resolution} voxels"
         marched = replace(config, march=replace(config.march, tolerance=1e-2))
         yield marched, f"{RESOLUTION}, tolerance 0.01", f"{config.bake.resolution} voxels"
+
+
+def _finished(baseline: Configuration, coarse: Sequence[Configuration]) -> Iterator[tuple[Configuration, str, str]]:
+    """Voxels dropped, voxels fitted, on coarser grids too, and both."""
+    yield baseline, PRUNING, "none"
+    for share in PRUNED:
+        yield replace(baseline, prune=share), PRUNING, f"{share:g}"
+    yield baseline, FITTING, "not fitted"
+    yield replace(baseline, fit=True), FITTING, "fitted"
+    for config in (*coarse[2:], baseline):
+        yield replace(config, fit=True), f"{RESOLUTION}, fitted", f"{config.bake.resolution} voxels"
+    for config in (*coarse[-1:], baseline):
+        pruned = replace(config, fit=True, prune=PRUNED[1])
+        yield pruned, f"{RESOLUTION}, fitted, pruned at {PRUNED[1]:g}", f"{config.bake.resolution} voxels"
 
 
 def _variations_of_storage(baseline: Configuration, stored: Sequence[CodecSettings]) -> Iterator[tuple[Configuration, str, str]]:

@@ -78,4 +78,5 @@ def _plan(sweep: Sweep, baseline: Configuration, subject: StudySubject) -> list[
         return [step for step in plan if step.config.baked == baseline.baked and not step.config.refine]
     field = sweep.field(baseline.field)
     others = [name for name in subject.fields if name != baseline.field]
-    return plan_steps(baseline, field.network is not None, bool(field.cameras), baseline.refine, codecs, others)
+    images = subject.training is not None
+    return plan_steps(baseline, field.network is not None, bool(field.cameras), baseline.refine, codecs, others, images)

@@ -9,11 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..baking.finish import FINISHING_STAGES
 from .pareto import StudyRow
 from .plan import RESOLUTION, STAGES, WATERFALL, PlanStep
 
 GOOD_ERROR = 0.25  # relative error of a good prediction
-PREDICTED = {"bake": "bake, s", "refine": "refining, s", "ms": "frame, ms", "megabytes": "files, MB"}
+PREDICTED = {
+    "bake": "bake, s",
+    "refine": "refining, s",
+    "prune": "pruning, s",
+    "fit": "fitting, s",
+    "ms": "frame, ms",
+    "megabytes": "files, MB",
+}
 
 
 @dataclass(frozen=True)
@@ -26,8 +34,8 @@ class PathPoint:
 
 
 def making_seconds(row: StudyRow) -> float:
-    """Seconds to bake, fine-tune and write a row's scene."""
-    return float(sum(row["seconds"].get(name, 0.0) for name in ("bake", "refine", "write")))
+    """Seconds to bake, finish and write a row's scene."""
+    return float(sum(row["seconds"].get(name, 0.0) for name in ("bake", *FINISHING_STAGES, "write")))
 
 
 def parameter_paths(rows: dict[str, StudyRow], plan: Sequence[PlanStep], baseline: str) -> dict[str, list[PathPoint]]:
@@ -70,11 +78,11 @@ def predictions(rows: Sequence[StudyRow]) -> list[tuple[str, StudyRow, float, fl
     found: list[tuple[str, StudyRow, float, float]] = []
     done: set[tuple[str, str]] = set()
     for row in rows:
-        measured = {"bake": row["seconds"].get("bake"), "refine": row["seconds"].get("refine")}
+        measured = {name: row["seconds"].get(name) for name in ("bake", *FINISHING_STAGES)}
         measured |= {"ms": row["ms"], "megabytes": row["megabytes"]}
         for name, value in measured.items():
             predicted, bake = row.get("predicted", {}).get(name), (name, _bake_of(row))
-            again = name in ("bake", "refine") and bake in done
+            again = name in ("bake", *FINISHING_STAGES) and bake in done
             if value and predicted and not again and _is_predicted(row, name):
                 found.append((name, row, float(predicted), float(value)))
                 done.add(bake)
@@ -107,8 +115,8 @@ COLUMNS = (  # of study.csv; "knobs" are the parameters, a name that scripts rea
     *("key", "knobs", "psnr", "psnr_pooled", "ssim", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
     *("blocks", "samples", "views"),
 )
-SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "write", "read", "tables")
-TAIL = ("refine", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")
+SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "prune", "fit", "write", "read", "tables")
+TAIL = ("refine", "fit", "prune", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")
 
 
 def csv_of(rows: Sequence[StudyRow], plan: Sequence[PlanStep]) -> str:
@@ -126,7 +134,8 @@ def csv_of(rows: Sequence[StudyRow], plan: Sequence[PlanStep]) -> str:
         cells += [row.get("predicted", {}).get(name) for name in PREDICTED]
         cells += [config.get("bake", {}).get(name) for name in settings]
         march, codec = config.get("march", {}), config.get("codec", {})
-        cells += [config.get("refine"), codec.get("name"), codec.get("quality"), march.get("tolerance"), march.get("stop_transmittance")]
+        cells += [config.get("refine"), config.get("fit", False), config.get("prune", 0.0)]
+        cells += [codec.get("name"), codec.get("quality"), march.get("tolerance"), march.get("stop_transmittance")]
         cells += [march.get("per_sample_network"), config.get("page"), config.get("field", row.get("field"))]
         writer.writerow(cells)
     return text.getvalue()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..artifact import open_field
 from ..baking.bake_field import bake_field
-from ..baking.fine_tune import RefineSettings, refine
+from ..baking.finish import FINISHING_STAGES, finish
 from ..data.dataset import Dataset
 from ..errors import SnergError
 from ..export.codecs import PNG
@@ -77,7 +77,7 @@ class Sweep:
         self._fields: dict[str, Field] = {}
         self._probes: dict[str, FieldProbe] = {}
         self._held: tuple[str, Scene, dict[str, Any]] | None = None
-        self._stored: dict[tuple[str, bool, str], tuple[Scene, dict[str, float]]] = {}
+        self._stored: dict[tuple[str, str, str], tuple[Scene, dict[str, float]]] = {}
 
     # Inputs
 
@@ -108,7 +108,7 @@ class Sweep:
             return None
         camera = self.subject.views.cameras[0]
         probe = self.probe(config.field)
-        return estimate(probe, self._box(probe.field), config.bake, config.refine, (camera.width, camera.height))
+        return estimate(probe, self._box(probe.field), config.bake, config.finishing, (camera.width, camera.height))
 
     def _box(self, field: Field) -> Box:
         return self.subject.box if self.subject.box is not None else field.domain.world_box()
@@ -123,8 +123,8 @@ class Sweep:
         seconds = count * (slowdown * estimated.preview + 0.1) + WRITING_SECONDS
         if not self._baked_already(config):
             seconds += estimated.bake + estimated.tables
-        if config.refine and not (self._work(config) / "refined.npz").is_file():
-            seconds += estimated.seconds.get("refine", 0.0)
+        if not self._finished_at(config).exists():
+            seconds += estimated.finishing
         return seconds
 
     # One row
@@ -212,8 +212,7 @@ class Sweep:
             "ms": 1e3 * estimated.preview,
             "megabytes": estimated.megabytes,
         }
-        if "refine" in estimated.seconds and config.refine:
-            result["refine"] = estimated.seconds["refine"]
+        result |= {name: estimated.seconds[name] for name in FINISHING_STAGES if name in estimated.seconds}
         return {name: round(value, 3) for name, value in result.items()}
 
     # Scenes
@@ -221,16 +220,40 @@ class Sweep:
     def scene_of(self, config: Configuration, progress: Progress = silent) -> tuple[Scene, dict[str, Any]]:
         """The scene of a configuration before it is stored, and {"seconds": of its stages, "peak_megabytes", "samples"}."""
         scene, report = self._baked(config, within(progress, 0, 0.7))
-        if not config.refine or self.subject.scene is not None or scene.network is None or self.subject.training is None:
+        stages = config.finishing.stages(scene.network is not None)
+        if not stages or self.subject.scene is not None or self.subject.training is None:
             return scene, report
-        path = self._work(config) / "refined.npz"
+        shown = within(progress, 0.7, 1)
+        scene, seconds = self._refined(config, scene, shown) if stages == ("refine",) else self._finished(config, scene, shown)
+        return scene, report | {"seconds": report["seconds"] | {name: round(took, 3) for name, took in seconds.items()}}
+
+    def _refined(self, config: Configuration, scene: Scene, progress: Progress) -> tuple[Scene, dict[str, float]]:
+        """The scene with its network fine-tuned now or in an earlier run, and the seconds. The network alone is kept."""
+        path = self._finished_at(config)
         if not path.is_file():
-            settings, began = RefineSettings(background=self.subject.background), time.perf_counter()
-            better, _ = refine(scene, self.subject.training, settings, within(progress, 0.7, 1))
+            assert self.subject.training is not None
+            better, seconds = finish(scene, self.subject.training, config.finishing, self.subject.background, progress)
             assert better.network is not None
-            write_arrays(path, {**better.network._asdict(), "seconds": np.array(time.perf_counter() - began)})
+            write_arrays(path, {**better.network._asdict(), "seconds": np.array(seconds["refine"])})
         network, took = _read_refined(path)
-        return replace(scene, network=network), report | {"seconds": report["seconds"] | {"refine": round(took, 3)}}
+        return replace(scene, network=network), {"refine": took}
+
+    def _finished(self, config: Configuration, scene: Scene, progress: Progress) -> tuple[Scene, dict[str, float]]:
+        """The scene with its voxels pruned or fitted now or in an earlier run, and the seconds of each stage."""
+        folder = self._finished_at(config)
+        if not folder.exists():
+            assert self.subject.training is not None
+            better, seconds = finish(scene, self.subject.training, config.finishing, self.subject.background, progress)
+            write_scene(replace(better, about={**better.about, "finishing_seconds": seconds}), folder)
+        kept = read_scene(folder)
+        return kept, dict(kept.about["finishing_seconds"])
+
+    def _finished_at(self, config: Configuration) -> Path:
+        """Where a configuration's fine-tuned network is kept, or the whole scene where its voxels change."""
+        if config.finishing.stages(True) in ((), ("refine",)):
+            return self._work(config) / "refined.npz"
+        chosen = (f"pruned-{config.prune:g}",) if config.prune else ()
+        return self._work(config) / "-".join((*chosen, *(("fitted",) if config.fit else ("refined",) if config.refine else ())))
 
     def _baked(self, config: Configuration, progress: Progress) -> tuple[Scene, dict[str, Any]]:
         """The scene of the bake, from memory, from an earlier run, or baked now, and its report."""
@@ -262,7 +285,7 @@ class Sweep:
 
     def _stored_scene(self, config: Configuration, snerg: Scene) -> tuple[Scene, dict[str, float]]:
         """The scene as it is read from its files, and {"megabytes", "write" and "read" in seconds}."""
-        key = (config.baked, config.refine, str(config.codec.to_json()))
+        key = (config.baked, str(config.finishing), str(config.codec.to_json()))
         if key in self._stored:
             return self._stored[key]
         folder = self._stored_at

@@ -31,7 +31,11 @@ class BakeStep(Step):
         count.prop(settings, "resolution")
         column.prop(settings, "voxel_size")
         column.prop(settings, "samples")
-        layout.prop(settings, "refine")
+        refine = layout.row()
+        refine.active = not settings.fit  # fitting moves the highlights too
+        refine.prop(settings, "refine")
+        layout.prop(settings, "fit")
+        layout.prop(settings, "prune")
         estimate = estimate_panel.lines(context)
         draw_box(layout, *(part for line in estimate for part in textwrap.wrap(line, LINE_WIDTH)))
         layout.operator("snerg.estimate", icon="TIME", text="Estimate Again" if estimate else "Estimate")

@@ -75,6 +75,8 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert arguments[4:] == ["--resolution", "256", "--samples", "0"]
     scene.snerg.voxel_size, scene.snerg.samples, scene.snerg.refine = 0.125, 3, False
     assert started(monkeypatch, "bake")[4:] == ["--voxel-size", "0.125", "--samples", "3", "--no-refine"]
+    scene.snerg.refine, scene.snerg.fit, scene.snerg.prune = True, True, 0.01
+    assert started(monkeypatch, "bake")[4:] == ["--voxel-size", "0.125", "--samples", "3", "--fit", "--prune", "0.01"]
     add_camera()
     assert "--codec" not in started(monkeypatch, "export_web")
     scene.snerg.codec = "webp"

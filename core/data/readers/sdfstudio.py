@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import SnergError
-from ...io.json_files import read_edited_json
 from ...io.guard import reading
+from ...io.json_files import read_edited_json
 from ..dataset import DatasetOptions, Source
 from .transforms import is_transforms, source_of
 

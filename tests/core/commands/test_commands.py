@@ -315,8 +315,10 @@ def test_baking_refining_and_measuring(tmp_path, field, dataset):
     assert result["kind"] == "scene" and result["refined"] and set(result["seconds"]) == {"bake", "refine"}
     assert 40 <= max(result["voxels"]) <= 44 and said == sorted(said) and said[-1] <= 1
     assert evaluate(tmp_path / "scene", dataset, "test")["psnr"] > 3
-    plain = bake_scene(field, tmp_path / "scene", BakeSettings(40, supersampling=1), refine=False, codec=CodecSettings("jpeg", 80))
-    assert not plain["refined"] and set(plain["seconds"]) == {"bake"}
+    codec, coarse = CodecSettings("jpeg", 80), BakeSettings(40, supersampling=1)
+    plain = bake_scene(field, tmp_path / "scene", coarse, refine=False, codec=codec, fit=True, prune=0.05)
+    assert plain["fitted"] and not plain["refined"] and list(plain["seconds"]) == ["bake", "prune", "fit"]
+    assert plain["about"]["prune"]["voxels_after"] < plain["about"]["prune"]["voxels_before"] and plain["about"]["fit"]["gain_db"] >= 0
     assert codec_of(tmp_path / "scene") == CodecSettings("jpeg", 80)
 
 

@@ -74,6 +74,7 @@ def scene(tmp_path_factory) -> Path:
         ("decision", put("about", "trained", {"decisions": [{"effect": "NDC"}]})),
         ("held", put("about", "bake", {"voxels": {"held": "many"}})),
         ("gain_db", put("about", "refine", {"gain_db": None})),
+        ("gain_db", put("about", "fit", {"gain_db": None})),
         ("about", put("about", 5)),
         ("JSON", put("about", "anything", float("nan"))),
     ],

@@ -14,6 +14,7 @@ import pytest
 from scenes import looking, make_frame, make_snerg, random_network
 from snerg.core import cli
 from snerg.core.baking.bake import BakeSettings, bake
+from snerg.core.baking.finish import Finishing
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import SnergError
 from snerg.core.export.scene_files import write_scene
@@ -110,6 +111,26 @@ def test_what_is_left_out_is_not_counted(probed):
     trained = replace(probed, field=replace(probed.field, dataset="photos"))
     refined, unrefined = (estimate(trained, BOX, refine=refine) for refine in (True, False))
     assert refined.peak_megabytes > unrefined.peak_megabytes and refined.seconds.keys() - unrefined.seconds.keys() == {"refine"}
+
+
+def test_finishing_is_estimated_where_there_are_images(probed):
+    from snerg.core.study.cost_model import estimate
+
+    captured = replace(probed, field=replace(probed.field, dataset="captured"))
+    stages = [
+        (Finishing(), {"refine"}),
+        (Finishing(fit=True), {"fit"}),
+        (Finishing(prune=0.01), {"prune", "refine"}),
+        (Finishing(refine=False), set()),
+    ]
+    plain = estimate(probed, BOX)
+    for finishing, names in stages:
+        found = estimate(captured, BOX, finishing=finishing)
+        assert set(found.seconds) - set(plain.seconds) == names and found.bake == pytest.approx(plain.bake)
+        assert found.finishing == pytest.approx(sum(found.seconds[name] for name in names))
+        assert found.peak_megabytes >= plain.peak_megabytes
+    assert estimate(captured, BOX, finishing=Finishing(fit=True)).finishing > estimate(captured, BOX).finishing
+    assert not estimate(probed, BOX, finishing=Finishing(fit=True)).finishing
 
 
 def test_it_can_be_asked_while_a_box_is_dragged(probed):

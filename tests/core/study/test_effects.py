@@ -126,6 +126,9 @@ def test_a_scene_says_what_its_bake_measured():
     assert clear.chosen is False and clear.measured == 0.04 and "is 4 %" in clear.evidence and "10 voxels" in clear.evidence
     assert samples.decision.chosen == "2" and samples.decision.measured == pytest.approx(0.01) and "2 s of that" in samples.saves
     assert refine.decision.measured == 0.5 and refine.costs.startswith("5 s after")
+    matte = baked(make_snerg((31, 30, 33), diffuse=True), fit=refined)
+    fitted = {e.decision.effect: e for e in of_scene(matte)}["Refining"]
+    assert fitted.decision.measured == 0.5 and "Voxels" in fitted.decision.evidence
     assert effects["View dependence"].decision.measured == 1.0 and "It gains." in effects["View dependence"].decision.evidence
     kept = {e.decision.effect: e for e in of_scene(baked(make_snerg((31, 30, 33)), seen=None))}
     assert kept["Visibility culling"].decision.chosen is False

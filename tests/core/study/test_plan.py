@@ -51,6 +51,8 @@ def test_what_a_scene_lacks_is_not_tried():
         replace(BASELINE, march=MarchSettings(tolerance=0.01)),
         replace(BASELINE, field="10 s of training"),
         replace(BASELINE, page=True),
+        replace(BASELINE, fit=True),
+        replace(BASELINE, prune=0.01),
     ],
 )
 def test_a_key_stands_for_one_configuration(other):
