@@ -1,16 +1,16 @@
 """The web page of a baked scene: a folder for any static server, or one file that opens from the disk.
 
 The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`. Writing
-a page needs no npm, no network and no server-side code.
+a page needs no npm, no network and no server-side code. The page allows itself no script, style or request but its own.
 """
 
 from __future__ import annotations
 
 import base64
-import re
+import hashlib
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from .codecs import PNG, CodecSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
 
 VIEWER = Path(__file__).parents[2] / "viewer"
-SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
+SCRIPT_TAG = '<script src="viewer.js"></script>'
+STYLE_TAG = '<link rel="stylesheet" href="page.css">'
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -37,7 +38,7 @@ def write_bundle(
     codec: CodecSettings = PNG,
     source: Path | None = None,
 ) -> dict[str, Any]:
-    """Write index.html, viewer.js, cameras.json and scene/ (see scene_files.write_scene_files), whole or not at all.
+    """Write index.html, page.css, viewer.js, cameras.json and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists; it opens at the first. single_file: write index.html alone, with the rest inside.
     source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
@@ -45,7 +46,7 @@ def write_bundle(
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec)
-    page, script = viewer_files()
+    files = viewer_files()
 
     def write_data(data: Path) -> None:
         """Write cameras.json and scene/, which the page reads."""
@@ -58,13 +59,13 @@ def write_bundle(
 
     with new_folder(folder) as temporary:
         if single_file:
-            write_single_file(page, script, temporary, write_data)
+            write_single_file(files, temporary, write_data)
         else:
-            (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
-            (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
+            for name, text in files.items():
+                (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
-        files = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
-        return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
+        written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
+        return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
 
 
 def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
@@ -76,11 +77,11 @@ def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
         raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start the export again.")
 
 
-def viewer_files() -> tuple[str, str]:
-    """The text of index.html and of viewer.js. Raises SnergError when viewer.js is not built."""
-    script = VIEWER / "dist" / "viewer.js"
+def viewer_files() -> dict[str, str]:
+    """The texts of index.html, page.css and viewer.js, by their names. Raises SnergError when viewer.js is not built."""
+    paths = (VIEWER / "index.html", VIEWER / "page.css", VIEWER / "dist" / "viewer.js")
     try:
-        return (VIEWER / "index.html").read_text(encoding="utf-8"), script.read_text(encoding="utf-8")
+        return {path.name: path.read_text(encoding="utf-8") for path in paths}
     except OSError as error:
         raise SnergError(
             f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
@@ -105,12 +106,17 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
     }
 
 
-def write_single_file(page: str, script: str, folder: Path, write_data: Callable[[Path], None]) -> None:
-    """Write index.html with the script and, as base64, every file that `write_data` writes into the folder it is given.
+def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callable[[Path], None]) -> None:
+    """Write index.html with everything inside: the script, the style and, as base64, every file that `write_data` writes into its folder.
 
-    The files are encoded one at a time, so that they are not all in memory. page, script: the text of index.html and viewer.js.
+    The files are encoded one at a time, so that they are not all in memory. files: of `viewer_files`.
     """
-    before, between, after = split_page(page)
+    # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
+    style, script = files["page.css"], files["viewer.js"].replace("</script", "<\\/script")
+    page = files["index.html"].replace(STYLE_TAG, f"<style>{style}</style>")
+    for kind, text in (("script-src", script), ("style-src", style)):  # a browser runs only the script with this hash
+        page = page.replace(f"{kind} 'self'", f"{kind} 'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
+    before, after = page.split(FILES_MARK)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
         write_data(data)
@@ -118,15 +124,7 @@ def write_single_file(page: str, script: str, folder: Path, write_data: Callable
             file.write(before)
             for tag in file_tags(data):
                 file.write(tag)
-            # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
-            file.write(between + "<script>" + script.replace("</script", "<\\/script") + "</script>" + after)
-
-
-def split_page(page: str) -> tuple[str, str, str]:
-    """index.html in three parts: up to where the files go, from there to the script's tag, and from behind that tag."""
-    before, between_and_after = page.split(FILES_MARK)
-    between, after = SCRIPT_TAG.split(between_and_after)
-    return before, between, after
+            file.write(after.replace(SCRIPT_TAG, f"<script>{script}</script>"))
 
 
 def file_tags(folder: Path) -> Iterator[str]:

@@ -79,10 +79,12 @@ def test_the_address_may_hold_any_word(page: Page, made: Path, serve: Serve, wor
     """Names of properties that every JavaScript object has are no backgrounds, cameras or keys: the page shows the defaults."""
     assert opened(page, serve(made) + f"?width=80&height=60&background={word}&camera={word}&ui={word}") is None
     assert page.locator("[name=background][value=white]").is_checked()
-    page.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{ key: {json.dumps(word)} }}))")
-    page.evaluate(
-        "document.querySelector('#canvas').dispatchEvent(new Event('keydown', { bubbles: true }))"
-    )  # as when the browser fills in a form
+    canvas = page.locator("#canvas")
+    for event in (
+        f"KeyboardEvent('keydown', {{ ...up, key: {json.dumps(word)} }})",
+        "Event('keydown', up)",
+    ):  # the second: a form is filled in
+        canvas.evaluate(f"canvas => {{ const up = {{ bubbles: true, composed: true }}; canvas.dispatchEvent(new {event}); }}")
     assert page.evaluate("window.snerg.problem") is None
 
 
@@ -118,7 +120,7 @@ def test_nothing_is_drawn_while_nothing_moves(page: Page, made: Path, serve: Ser
 def test_the_frame_fits_a_page_of_another_shape(page: Page, made: Path, serve: Serve) -> None:
     """A page twice as wide shows the camera's frame in its middle."""
     assert opened(page, serve(made) + "?camera=Front&width=320&height=120") is None
-    page.add_style_tag(content="#frame { display: none !important }")
+    page.locator("#frame").evaluate("frame => frame.remove()")
     assert near(picture(page)[:, 80:240], truth(0))
 
 
@@ -139,7 +141,7 @@ def test_a_missing_file_is_named(page: Page, copied: Path, serve: Serve, name: s
 def test_a_missing_viewer_is_named(page: Page, copied: Path, serve: Serve) -> None:
     (copied / "viewer.js").unlink()
     page.goto(serve(copied))
-    assert "viewer.js is missing" in page.get_by_role("alert").inner_text()
+    page.get_by_text("viewer.js is missing").wait_for(state="visible")
 
 
 def damage_scene(key: str, value: object) -> Callable[[bytes], bytes]:
@@ -218,9 +220,29 @@ def test_no_webgl(launch: Callable[..., Browser], made: Path, serve: Serve) -> N
     assert problem and "no WebGL 2" in problem
 
 
-def test_a_lost_context(page: Page, made: Path, serve: Serve) -> None:
-    assert opened(page, serve(made)) is None
-    page.evaluate("document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()")
+LOSE = """async canvas => {
+    const lost = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
+    lost.loseContext();
+    await new Promise((resolve) => setTimeout(resolve, 100));
+    lost.restoreContext();
+}"""
+
+
+def test_a_lost_context_is_rebuilt(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120") is None
+    picture(page)
+    frames = page.evaluate("window.snerg.frames")
+    page.locator("#canvas").evaluate(LOSE)
+    while page.evaluate("window.snerg.frames") == frames:  # the page's security policy forbids wait_for_function
+        page.wait_for_timeout(100)
+    assert page.evaluate("window.snerg.problem") is None and near(picture(page), truth(0))
+
+
+def test_a_lost_context_of_a_single_file_says_so(page: Page, tmp_path: Path) -> None:
+    """Its files were taken out of the page to free memory."""
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.locator("#canvas").evaluate(LOSE)
     page.get_by_role("alert").wait_for()
     assert "graphics driver was reset" in page.get_by_role("alert").inner_text()
 

@@ -1,14 +1,20 @@
 // Decodes images without alpha (WebP, JPEG, AVIF) by the browser's own decoders. Images with alpha are PNG (png.js): a canvas would
 // premultiply them.
-import { EXPORT_AGAIN, ViewerError } from "./errors.js";
+import { EXPORT_AGAIN, ViewerError } from "../errors";
 
 /**
  * The pixels of an image of exactly this size: a Uint8ClampedArray of red, green, blue and 255 a pixel, row by row. type: its MIME
  * type. Throws a ViewerError where it is damaged or of another size, or where this browser cannot decode it or alters canvases.
  */
-export async function decodeOpaque(bytes, name, width, height, type) {
-  const options = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
-  const bitmap = await createImageBitmap(new Blob([bytes], { type }), options).catch(() => {
+export async function decodeOpaque(
+  bytes: Uint8Array,
+  name: string,
+  width: number,
+  height: number,
+  type: string,
+): Promise<Uint8ClampedArray> {
+  const options: ImageBitmapOptions = { colorSpaceConversion: "none", premultiplyAlpha: "none" };
+  const bitmap = await createImageBitmap(new Blob([bytes as BlobPart], { type }), options).catch(() => {
     throw new ViewerError(`The file ${name} cannot be shown: it is damaged, or this browser knows no ${type}. ${EXPORT_AGAIN}`);
   });
   if (bitmap.width !== width || bitmap.height !== height) {
@@ -22,8 +28,9 @@ export async function decodeOpaque(bytes, name, width, height, type) {
 }
 
 /** A canvas of that size; its colours are tested, since browsers that resist fingerprinting return noise. */
-function contextOf(width, height) {
+function contextOf(width: number, height: number): OffscreenCanvasRenderingContext2D {
   const context = new OffscreenCanvas(width, height).getContext("2d", { alpha: false, willReadFrequently: true });
+  if (!context) throw new ViewerError("This browser offers no canvas, which decodes the scene's images. Use a newer browser.");
   context.fillStyle = "#205080";
   context.fillRect(0, 0, 1, 1);
   const [red, green, blue] = context.getImageData(0, 0, 1, 1).data;

@@ -1,0 +1,49 @@
+// The exported page: one <snerg-viewer>, and the address that says what it shows.
+import { asViewerError, defineElement, type SnergViewerElement } from "../index";
+
+/** The options in the address: ?camera=NAME_OR_INDEX&background=black&width=W&height=H&ui=none. Those after # take precedence. */
+function addressOptions(): URLSearchParams {
+  const values = new URLSearchParams(location.search);
+  new URLSearchParams(location.hash.slice(1)).forEach((value, key) => {
+    values.set(key, value);
+  });
+  return values;
+}
+
+const element = document.querySelector("snerg-viewer") as SnergViewerElement;
+const address = addressOptions();
+for (const key of ["camera", "background", "width", "height", "ui"]) {
+  const value = address.get(key);
+  if (value !== null) element.setAttribute(key, value);
+}
+document.body.classList.toggle("fixed-size", address.has("width") && address.has("height"));
+
+/**
+ * For tests, and for pages that embed this one. ready: a promise of whether the scene is on the page. problem: the error message, or
+ * null. frames: how many images were shown. settled(): a promise that the page shows the full image.
+ */
+const hook = {
+  frames: 0,
+  get ready() {
+    return element.ready;
+  },
+  get problem() {
+    return element.problem;
+  },
+  settled: () => element.viewer?.settled(),
+};
+Object.assign(window, { snerg: hook });
+window.addEventListener("error", (event) => event.error && element.fail(asViewerError(event.error)));
+window.addEventListener("unhandledrejection", (event) => element.fail(asViewerError(event.reason)));
+
+defineElement();
+element.viewer?.on("image", () => hook.frames++);
+element.addEventListener("camera", (event) => {
+  const { detail } = event as CustomEvent<string>;
+  history.replaceState(null, "", `#${new URLSearchParams({ camera: detail })}`);
+});
+window.addEventListener("hashchange", () => {
+  const name = addressOptions().get("camera");
+  if (name !== null) void element.choose(name);
+});
+window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

@@ -1,0 +1,216 @@
+// <snerg-viewer>: a viewer with its bar, its progress and its messages.
+import type { ViewerError } from "../errors";
+import type { Colour } from "./progressive_renderer";
+import style from "./style.css";
+import template from "./template.html";
+import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
+
+const BACKGROUNDS: ReadonlyMap<string, number> = new Map([
+  ["white", 1],
+  ["grey", 128 / 255],
+  ["black", 0],
+]);
+const MAX_SIZE = 8192; // pixels of a side that may be asked for
+
+/**
+ * Shows the scene of a bundle. Attributes, which are read when it is put into the page:
+ *
+ *   src         the bundle's folder (with cameras.json and scene/); without it, the folder or the single file of the page itself
+ *   camera      the name or the number of the camera to begin with
+ *   background  white, grey or black
+ *   poster      a picture that is shown until the scene is there
+ *   ui          "none": without the bar
+ *   width, height  of the picture in CSS pixels; else it fills the element
+ *
+ * Events: "load" when the scene is there, "error" with the message in `detail`, "camera" with a camera's name in `detail` when it is chosen.
+ */
+export class SnergViewerElement extends HTMLElement {
+  /** The viewer; null until the element is in a page, and where the browser cannot show it. */
+  viewer: Viewer | null = null;
+  /** The message that is shown in place of the scene, or null. */
+  problem: string | null = null;
+  /** Resolves to whether the scene is shown. */
+  readonly ready: Promise<boolean>;
+  private settle!: (shown: boolean) => void;
+  private readonly root = this.attachShadow({ mode: "open" });
+
+  constructor() {
+    super();
+    this.ready = new Promise((resolve) => {
+      this.settle = resolve;
+    });
+  }
+
+  connectedCallback(): void {
+    if (this.viewer) return;
+    this.root.innerHTML = template;
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(style);
+    this.root.adoptedStyleSheets = [sheet];
+    this.find("reload").onclick = () => location.reload();
+    const poster = this.getAttribute("poster");
+    if (poster) this.showPoster(poster);
+    try {
+      this.start();
+    } catch (error) {
+      this.fail(asViewerError(error));
+    }
+  }
+
+  disconnectedCallback(): void {
+    this.viewer?.destroy();
+    this.viewer = null;
+  }
+
+  /** Show a message in place of the scene. */
+  fail(error: ViewerError): void {
+    this.problem = error.message;
+    this.find("loading").hidden = true;
+    this.find("bar").hidden = true;
+    this.find("problem").hidden = false;
+    this.find("problem-text").textContent = error.message;
+    this.dispatchEvent(new CustomEvent("error", { detail: error.message }));
+    this.settle(false);
+  }
+
+  /** Show the camera of that name or number, as its entry in the list does. */
+  choose(name: string | number): void {
+    const { viewer } = this;
+    if (!viewer) return;
+    const index = typeof name === "number" ? name : findCamera(viewer.cameras, name);
+    if (!viewer.cameras[index]) return;
+    this.find<HTMLSelectElement>("camera").value = String(index);
+    void viewer.goTo(index);
+    this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
+  }
+
+  private find<T extends HTMLElement>(id: string): T {
+    return this.root.getElementById(id) as T;
+  }
+
+  private start(): void {
+    const stage = this.find("stage");
+    const size = this.fixedSize();
+    if (size) Object.assign(stage.style, { width: `${size.width}px`, height: `${size.height}px` });
+    stage.classList.toggle("fixed", size !== undefined);
+    const background = this.getAttribute("background") ?? "";
+    const swatch = this.root.querySelector<HTMLInputElement>(
+      `[name=background][value=${BACKGROUNDS.has(background) ? background : "white"}]`,
+    );
+    if (swatch) swatch.checked = true;
+    const viewer = createViewer(stage, {
+      src: this.getAttribute("src") ?? undefined,
+      camera: this.getAttribute("camera"),
+      background: colourOf(background),
+      size,
+    });
+    this.viewer = viewer;
+    const { canvas } = viewer;
+    canvas.id = "canvas";
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, R to reset.");
+    viewer.on("error", (error) => this.fail(error));
+    viewer.on("progress", ({ slices, totalSlices }) => {
+      this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
+      this.find("loading-text").textContent = `Loading the scene: ${slices} of ${totalSlices} slices`;
+    });
+    viewer.on("image", ({ width, height, milliseconds }) => {
+      this.find("loading").hidden = true; // a draft replaces the progress bar
+      this.find("poster").hidden = true;
+      const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
+      this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
+      this.connectBar(viewer);
+    });
+    viewer.on("view", () => this.showFrame(viewer));
+    viewer.ready.then(
+      () => {
+        this.showFrame(viewer);
+        this.settle(this.problem === null);
+        this.dispatchEvent(new CustomEvent("load"));
+      },
+      () => {}, // it was said by "error"
+    );
+  }
+
+  private fixedSize(): { width: number; height: number } | undefined {
+    const [width, height] = ["width", "height"].map((key) => Math.min(Number.parseInt(this.getAttribute(key) ?? "", 10) || 0, MAX_SIZE));
+    return width > 0 && height > 0 ? { width, height } : undefined;
+  }
+
+  private showPoster(address: string): void {
+    const poster = this.find<HTMLImageElement>("poster");
+    poster.src = address;
+    poster.hidden = false;
+    this.find("loading").classList.add("beside");
+  }
+
+  /** Darken what lies outside the camera's image, as Blender does, until the user moves. */
+  private showFrame(viewer: Viewer): void {
+    const { frame, atCamera, camera } = viewer.state;
+    const [left, top, width, height] = frame;
+    this.find("frame").hidden = !atCamera || !camera || (left < 1 && top < 1);
+    Object.assign(this.find("frame").style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
+  }
+
+  /** The bar's cameras, backgrounds and keys. */
+  private connectBar(viewer: Viewer): void {
+    const select = this.find<HTMLSelectElement>("camera");
+    if (select.onchange || this.problem) return;
+    // The page renders without lens distortion, and says so where a camera has one.
+    const options = viewer.cameras.map(
+      (camera, i) => new Option(camera.distortion ? `${camera.name} (lens not shown)` : camera.name, String(i)),
+    );
+    select.replaceChildren(...options);
+    select.value = String(
+      Math.max(
+        viewer.cameras.findIndex((camera) => camera.name === viewer.state.camera),
+        0,
+      ),
+    );
+    select.onchange = () => this.choose(Number(select.value));
+    this.find("cameras").hidden = viewer.cameras.length === 0;
+    this.find("bar").hidden = this.getAttribute("ui") === "none";
+    this.find("previous").onclick = () => this.step(-1);
+    this.find("next").onclick = () => this.step(1);
+    this.find("reset").onclick = () => this.reset();
+    for (const input of this.root.querySelectorAll<HTMLInputElement>("[name=background]")) {
+      input.onchange = () => {
+        viewer.background = colourOf(input.value);
+      };
+    }
+    this.addEventListener("keydown", (event) => this.press(event));
+  }
+
+  private step(by: number): void {
+    const count = this.viewer?.cameras.length ?? 0;
+    if (count) this.choose((Math.max(Number(this.find<HTMLSelectElement>("camera").value), 0) + by + count) % count);
+  }
+
+  private reset(): void {
+    if (this.viewer?.cameras.length) this.step(0);
+    else void this.viewer?.goTo();
+  }
+
+  /** Keys, also those that the page passes on from outside the element. */
+  press(event: KeyboardEvent): void {
+    const origin = event.composedPath()[0];
+    const typed = origin instanceof HTMLInputElement || origin instanceof HTMLSelectElement;
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form
+    if (key === "r") this.reset();
+    else if (key === "n" || key === "p") this.step(key === "n" ? 1 : -1);
+    else if (/^[1-9]$/.test(key) && Number(key) <= (this.viewer?.cameras.length ?? 0)) this.choose(Number(key) - 1);
+    else return;
+    event.preventDefault();
+  }
+}
+
+/** A background by its name; white for an unknown name. */
+function colourOf(name: string): Colour {
+  const value = BACKGROUNDS.get(name) ?? 1;
+  return [value, value, value, 1];
+}
+
+export function defineElement(): void {
+  if (!customElements.get("snerg-viewer")) customElements.define("snerg-viewer", SnergViewerElement);
+}
