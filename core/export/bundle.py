@@ -21,11 +21,13 @@ from ..io.generation import one_generation
 from ..progress import Progress, silent
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
+from .page import PLAIN, POSTER, PageSettings, data_address, page_html, poster_bytes
 from .scene_files import copy_scene_files, is_current, write_scene_files
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = '<script src="viewer.js"></script>'
 STYLE_TAG = '<link rel="stylesheet" href="page.css">'
+POSTER_SHARE = 0.2  # of the time of an export
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -37,16 +39,20 @@ def write_bundle(
     progress: Progress = silent,
     codec: CodecSettings = PNG,
     source: Path | None = None,
+    page: PageSettings = PLAIN,
 ) -> dict[str, Any]:
-    """Write index.html, page.css, viewer.js, cameras.json and scene/ (see scene_files.write_scene_files), whole or not at all.
+    """Write index.html, page.css, viewer.js, cameras.json, a poster and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists; it opens at the first. single_file: write index.html alone, with the rest inside.
     source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    The poster is the first camera's picture, which the page shows until the scene has arrived.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec)
     files = viewer_files()
+    poster = poster_bytes(scene, cameras[0], page, _share(progress, 0.0, POSTER_SHARE, "Rendering the poster")) if cameras else None
+    progress = _share(progress, POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json and scene/, which the page reads."""
@@ -59,13 +65,26 @@ def write_bundle(
 
     with new_folder(folder) as temporary:
         if single_file:
+            files["index.html"] = page_html(files["index.html"], page, data_address(poster) if poster else None)
             write_single_file(files, temporary, write_data)
         else:
+            files["index.html"] = page_html(files["index.html"], page, POSTER if poster else None)
+            if poster:
+                (temporary / POSTER).write_bytes(poster)
             for name, text in files.items():
                 (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
         written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
+
+
+def _share(progress: Progress, low: float, high: float, text: str = "") -> Progress:
+    """A `progress` for the part of the work from `low` to `high`. text: shown in place of its own."""
+
+    def report(fraction: float, what: str, /) -> None:
+        progress(low + fraction * (high - low), text or what)
+
+    return report
 
 
 def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from scenes import make_cameras, make_snerg
@@ -17,6 +18,7 @@ from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
+from snerg.core.export.page import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
 from snerg.tests.web.conftest import opened, picture
@@ -72,6 +74,58 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
     assert near(picture(page), first)
     page.locator("#canvas").press("ArrowLeft")
     assert np.abs(picture(page) - first).mean() > 1 / 255
+
+
+def test_the_page_says_what_it_shows(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """Titles are text, whatever they hold; the poster is the first camera's picture, there before any slice is."""
+    title, text = 'Stone "head" <b>&amp;</b>', "Photographed' in <i>Rome</i>"
+    settings = PageSettings(title, text, "https://example.org/head", background="black")
+    write_bundle(make_snerg(shape=(34, 30, 40)), make_cameras(), tmp_path / "web", page=settings)
+    page.route("**/scene/*.png", lambda route: None)  # never answered
+    page.goto(serve(tmp_path / "web"))
+    poster = page.locator("#poster")
+    poster.wait_for(state="visible")
+    assert page.title() == title
+    assert page.locator("meta[name=description]").get_attribute("content") == text
+    assert page.locator("meta[property='og:image']").get_attribute("content") == "https://example.org/head/poster.webp"
+    with Image.open(tmp_path / "web" / "poster.webp") as image:
+        shown = np.asarray(image.convert("RGB")) / 255
+    scene, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
+    assert np.abs(shown - render_scene(scene, camera).over((0.0, 0.0, 0.0))).mean() < 3 / 255
+    page.unroute_all()
+    assert opened(page, serve(tmp_path / "web")) is None and poster.is_hidden()
+
+
+def test_a_poster_lies_inside_a_single_file(page: Page, tmp_path: Path) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", single_file=True)
+    page.goto((tmp_path / "web" / "index.html").as_uri())
+    assert page.locator("#poster").evaluate("poster => poster.decode().then(() => poster.naturalWidth)") == make_cameras()[0].width
+
+
+def test_the_orbit_stays_within_its_limits(page: Page, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", page=PageSettings(elevation=(0, 30), distance=(2, 3)))
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    for key, turns, bounds in (("ArrowUp", 40, (0.4, 0.51)), ("ArrowDown", 40, (-0.01, 0.1))):
+        for _ in range(turns):
+            page.locator("#canvas").press(key)
+        backward = page.evaluate("document.querySelector('snerg-viewer').viewer.state.cameraToWorld.map((row) => row[2])")
+        assert bounds[0] < backward[2] < bounds[1]  # the sine of the elevation
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"background": "pink"}, "no background 'pink'"),
+        ({"address": "example.org"}, "begins with https://"),
+        ({"distance": (3.0, 2.0)}, "the smaller one first"),
+        ({"distance": (0.0, 2.0)}, "above 0"),
+        ({"elevation": (-91.0, 2.0)}, "from -90 to 90"),
+        ({"elevation": (float("nan"), 2.0)}, "from -90 to 90"),
+    ],
+)
+def test_page_settings_are_checked(settings: dict, words: str) -> None:
+    with pytest.raises(SnergError, match=words):
+        PageSettings(**settings)
 
 
 @pytest.mark.parametrize("word", ["constructor", "__proto__", "toString", "hasOwnProperty", "pink", ""])

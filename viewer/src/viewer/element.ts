@@ -19,6 +19,8 @@ const MAX_SIZE = 8192; // pixels of a side that may be asked for
  *   camera      the name or the number of the camera to begin with
  *   background  white, grey or black
  *   poster      a picture that is shown until the scene is there
+ *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
+ *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
  *   ui          "none": without the bar
  *   width, height  of the picture in CSS pixels; else it fills the element
  *
@@ -103,6 +105,7 @@ export class SnergViewerElement extends HTMLElement {
       camera: this.getAttribute("camera"),
       background: colourOf(background),
       size,
+      limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
     this.viewer = viewer;
     const { canvas } = viewer;
@@ -110,9 +113,10 @@ export class SnergViewerElement extends HTMLElement {
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, R to reset.");
     viewer.on("error", (error) => this.fail(error));
-    viewer.on("progress", ({ slices, totalSlices }) => {
+    viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
-      this.find("loading-text").textContent = `Loading the scene: ${slices} of ${totalSlices} slices`;
+      const about = (bytes / slices) * totalSlices; // its slices are about equally large
+      this.find("loading-text").textContent = `Loading the scene: ${megabytes(bytes)} of about ${megabytes(about)} MB`;
     });
     viewer.on("image", ({ width, height, milliseconds }) => {
       this.find("loading").hidden = true; // a draft replaces the progress bar
@@ -135,6 +139,12 @@ export class SnergViewerElement extends HTMLElement {
   private fixedSize(): { width: number; height: number } | undefined {
     const [width, height] = ["width", "height"].map((key) => Math.min(Number.parseInt(this.getAttribute(key) ?? "", 10) || 0, MAX_SIZE));
     return width > 0 && height > 0 ? { width, height } : undefined;
+  }
+
+  /** Two numbers of an attribute, the smaller one first; undefined where there are none. */
+  private pair(name: string): [number, number] | undefined {
+    const values = (this.getAttribute(name) ?? "").trim().split(/\s+/).map(Number);
+    return values.length === 2 && values.every(Number.isFinite) && values[0] <= values[1] ? [values[0], values[1]] : undefined;
   }
 
   private showPoster(address: string): void {
@@ -204,6 +214,8 @@ export class SnergViewerElement extends HTMLElement {
     event.preventDefault();
   }
 }
+
+const megabytes = (bytes: number): string => (bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0);
 
 /** A background by its name; white for an unknown name. */
 function colourOf(name: string): Colour {

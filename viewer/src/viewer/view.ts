@@ -21,6 +21,12 @@ function frameCamera({ camera_to_world, focal }: NdcFrame): Viewed {
   return { ...UNNAMED, width, height, focal: pixels, centre, cameraToWorld: matrixOfRows(camera_to_world) };
 }
 
+/** Where the orbit may go. */
+export interface OrbitLimits {
+  distance?: [number, number]; // nearest and farthest, in units of the scene, from the point that is looked at
+  elevation?: [number, number]; // lowest and highest, in degrees above the horizon
+}
+
 /** The camera of three.js that renders the view. Its clip planes are the viewed camera's. */
 class ViewCamera extends Camera {
   near = 0;
@@ -49,6 +55,7 @@ export class View {
     private readonly scene: SceneDescription,
     element: HTMLElement,
     private readonly onChange: () => void,
+    limits: OrbitLimits = {},
   ) {
     const sphere = sphereOf(scene);
     this.orbitScale = 2 * sphere.radius;
@@ -56,6 +63,11 @@ export class View {
     for (const camera of Object.values(this.orbitCameras)) camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.orbitCameras.perspective, element);
     Object.assign(this.controls, { rotateSpeed: 0.8, minDistance: 1e-3, maxDistance: 100, minZoom: 1e-2, maxZoom: 1e3 });
+    if (limits.distance) [this.controls.minDistance, this.controls.maxDistance] = limits.distance.map((length) => length / this.orbitScale);
+    if (limits.elevation) {
+      const [low, high] = limits.elevation.map((degrees) => ((90 - degrees) * Math.PI) / 180);
+      [this.controls.minPolarAngle, this.controls.maxPolarAngle] = [high, low];
+    }
     this.controls.addEventListener("change", () => {
       if (this.jumping) return;
       this.atCamera = false;

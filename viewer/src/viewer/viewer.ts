@@ -6,7 +6,7 @@ import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
-import { View } from "./view";
+import { type OrbitLimits, View } from "./view";
 
 const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
 const KEY_TURN = Math.PI / 36; // radians a key press
@@ -28,6 +28,7 @@ export interface ViewerOptions {
   background?: Colour;
   /** The canvas's size in CSS pixels; else it follows the container. */
   size?: { width: number; height: number };
+  limits?: OrbitLimits;
   signal?: AbortSignal;
 }
 
@@ -112,7 +113,7 @@ class CanvasViewer implements Viewer {
     ]);
     this.cameras = cameras;
     this.scene = scene;
-    const view = new View(scene.description, this.canvas, () => this.viewChanged());
+    const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
     this.view = view;
     this.volume = new SnergVolume(scene, { srgbTargets: true });
     this.world.add(this.volume);
