@@ -19,6 +19,7 @@ from ..geometry.camera import Camera
 from ..io.files import MARK, json_bytes, new_folder, read_json
 from ..io.generation import one_generation
 from ..progress import Progress, silent
+from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
 from .page import PLAIN, POSTER, PageSettings, data_address, page_html, poster_bytes
@@ -27,6 +28,7 @@ from .scene_files import copy_scene_files, is_current, write_scene_files
 VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = '<script src="viewer.js"></script>'
 STYLE_TAG = '<link rel="stylesheet" href="page.css">'
+COARSE_FROM = 64  # cells from which on a page has the scene at a quarter of its resolution too, which it shows first
 POSTER_SHARE = 0.2  # of the time of an export
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
@@ -45,7 +47,8 @@ def write_bundle(
 
     cameras: the cameras that the page lists; it opens at the first. single_file: write index.html alone, with the rest inside.
     source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
-    The poster is the first camera's picture, which the page shows until the scene has arrived.
+    The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
+    holds coarse/, which the page shows as soon as somebody moves.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
@@ -56,7 +59,11 @@ def write_bundle(
 
     def write_data(data: Path) -> None:
         """Write cameras.json and scene/, which the page reads."""
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
+        coarse = not single_file and len(scene.cells) >= COARSE_FROM
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | ({"coarse": True} if coarse else {})))
+        if coarse:
+            (data / "coarse").mkdir()
+            write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name == "webp" else PNG)
         if source is None:
             (data / "scene").mkdir()
             write_scene_files(scene, data / "scene", progress, codec)

@@ -21,6 +21,7 @@ from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.page import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
+from snerg.core.scene.coarse import coarse_scene
 from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
@@ -94,6 +95,24 @@ def test_the_page_says_what_it_shows(page: Page, tmp_path: Path, serve: Serve) -
     assert np.abs(shown - render_scene(scene, camera).over((0.0, 0.0, 0.0))).mean() < 3 / 255
     page.unroute_all()
     assert opened(page, serve(tmp_path / "web")) is None and poster.is_hidden()
+
+
+def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """While the slices are on their way, the poster shows the first view, and the coarse scene every other one."""
+    scene = make_snerg(shape=(131, 122, 122))
+    write_bundle(scene, make_cameras(), tmp_path / "web")
+    page.route("**/scene/rgba_*.png", lambda route: None)  # not answered for now
+    page.goto(serve(tmp_path / "web") + "?width=160&height=120")
+    page.get_by_role("combobox", name="Camera").wait_for()
+    assert page.locator("#poster").is_visible() and page.get_by_role("status").is_visible()
+    page.get_by_role("combobox", name="Camera").select_option("Parallel")
+    shown, expected = picture(page), render_scene(coarse_scene(scene), make_cameras()[2]).over()
+    assert near(shown[:60], expected[:60]) and expected[:60].std() > 0.05  # the progress lies over the picture's foot
+    assert page.locator("#poster").is_hidden()
+    page.unroute("**/scene/rgba_*.png")  # lets what was held go on
+    assert page.evaluate("window.snerg.ready") and page.evaluate("window.snerg.problem") is None
+    assert near(picture(page), render_scene(scene, make_cameras()[2]).over())
+    assert page.get_by_role("status").is_hidden()
 
 
 def test_a_poster_lies_inside_a_single_file(page: Page, tmp_path: Path) -> None:

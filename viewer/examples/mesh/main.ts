@@ -12,11 +12,12 @@ world.add(new HemisphereLight(0xffffff, 0x888888, 2), new DirectionalLight(0xfff
 
 async function start(): Promise<void> {
   const folder = new ServerFiles("bundle"); // as `snerg bundle` writes it
-  const [scene, [first], model] = await Promise.all([
+  const [scene, { cameras }, model] = await Promise.all([
     SnergScene.load(folder, { folder: "scene/" }),
     readCameras(folder, "cameras.json"),
     new GLTFLoader().loadAsync("model.gltf"),
   ]);
+  const [first] = cameras;
   const volume = new SnergVolume(scene, { yUp: true });
   world.add(volume, model.scene);
   const camera = threeCamera(first, { yUp: true });

@@ -18,17 +18,24 @@ export interface SnergCamera {
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
+/** What cameras.json says. */
+export interface CameraList {
+  cameras: SnergCamera[];
+  coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
+}
+
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
-export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<SnergCamera[]> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown } | null;
+export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
+  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
-  return value.cameras.map((camera, i) => ({
+  const cameras = value.cameras.map((camera, i) => ({
     ...camera,
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
+  return { cameras, coarse: value.coarse === true };
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {

@@ -34,7 +34,7 @@ export interface ViewerOptions {
 
 export interface ViewerEvents {
   progress: LoadProgress;
-  image: ShownImage;
+  image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
   view: ViewerState;
   error: ViewerError;
 }
@@ -82,6 +82,7 @@ class CanvasViewer implements Viewer {
   private view: View | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
+  private whole = false; // whether the scene itself is shown, and not the coarse one
   private flight = 0; // counts flights, so that a new one ends the one before
   private colour: Colour;
   private readonly observer = new ResizeObserver(() => this.follow());
@@ -107,24 +108,46 @@ class CanvasViewer implements Viewer {
     const { signal } = this.abort;
     const source = sourceOf(this.options.src);
     const onProgress = (progress: LoadProgress) => this.emit("progress", Object.assign(this.loaded, progress));
-    const [scene, cameras] = await Promise.all([
-      SnergScene.load(source, { folder: "scene/", onProgress, signal }),
+    const [{ cameras, coarse }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
+      SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
     this.scene = scene;
+    const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
+    if (first) await this.show(first);
+    await this.show(scene);
+    this.whole = true;
+    await this.renderer?.settled();
+  }
+
+  /** Show a scene in place of the one before, when all of it is on the card. */
+  private async show(scene: SnergScene): Promise<void> {
+    const volume = new SnergVolume(scene, { srgbTargets: true });
+    await volume.load(this.webgl);
+    if (this.volume) {
+      this.world.remove(this.volume);
+      this.volume.dispose();
+    }
+    this.volume = volume;
+    this.world.add(volume);
+    if (this.renderer) this.renderer.change();
+    else this.begin(scene);
+  }
+
+  /** There is something to show: begin to render, and to follow the mouse. */
+  private begin(scene: SnergScene): void {
+    const { cameras } = this;
     const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
     this.view = view;
-    this.volume = new SnergVolume(scene, { srgbTargets: true });
-    this.world.add(this.volume);
-    await this.volume.load(this.webgl);
-    this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) => this.emit("image", image));
+    this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
+      this.emit("image", { ...image, coarse: !this.whole }),
+    );
     this.renderer.background = this.colour;
     const first = Math.max(findCamera(cameras, this.options.camera ?? null), 0);
     if (cameras[first]) view.jump(cameras[first]);
     this.observer.observe(this.container);
     this.follow();
-    await this.renderer.settled();
   }
 
   get background(): Colour {
@@ -235,14 +258,9 @@ class CanvasViewer implements Viewer {
 
   /** The graphics driver was reset: bring the scene to the card again. */
   private async restore(): Promise<void> {
-    const { scene, volume } = this;
-    if (!scene || !volume || !this.renderer) return this.fail(new ViewerError(LOST));
-    this.world.remove(volume);
-    volume.dispose();
-    this.volume = new SnergVolume(scene, { srgbTargets: true });
-    this.world.add(this.volume);
+    if (!this.scene || !this.whole || !this.renderer) return this.fail(new ViewerError(LOST));
     try {
-      await this.volume.load(this.webgl);
+      await this.show(this.scene);
     } catch {
       return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
     }
