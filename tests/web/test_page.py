@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -57,7 +59,8 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
 
     page.get_by_role("combobox", name="Camera").select_option("Parallel")
     assert near(picture(page), truth(2))
-    assert page.url.endswith("#camera=Parallel")
+    page.wait_for_url("**#*camera=Parallel*")  # once the view stands still
+    assert parse_qs(urlsplit(page.url).fragment) == {"camera": ["Parallel"], "background": ["white"]}
     page.get_by_role("button", name="Next camera").click()
     assert near(picture(page), truth(3))
     page.locator("#canvas").press("1")
@@ -145,6 +148,58 @@ def test_the_orbit_stays_within_its_limits(page: Page, tmp_path: Path, serve: Se
 def test_page_settings_are_checked(settings: dict, words: str) -> None:
     with pytest.raises(SnergError, match=words):
         PageSettings(**settings)
+
+
+@pytest.mark.parametrize("camera", ["Front", "Parallel"])
+def test_a_view_is_shared(page: Page, browser: Browser, made: Path, serve: Serve, camera: str) -> None:
+    """A link to a view that somebody turned and zoomed to shows the same picture elsewhere, and what else it says stays."""
+    assert opened(page, serve(made) + f"?width=160&height=120&camera={camera}#from=letter") is None
+    page.locator("#canvas").press("ArrowLeft")
+    page.locator("#canvas").press("ArrowUp")
+    page.mouse.move(80, 60)
+    page.mouse.wheel(0, -300)
+    page.get_by_role("radio", name="Black background").check()
+    turned = picture(page)
+    page.wait_for_url("**&view=*")
+    assert "from=letter&" in page.url
+    page.get_by_role("button", name="Share").click()
+    link = page.get_by_role("textbox", name="Link").input_value()
+    assert link == page.url
+    embed = page.get_by_role("textbox", name="To put it into a page").input_value()
+    assert html.unescape(embed.split('src="')[1].split('"')[0]) == link
+    other = browser.new_page()
+    assert opened(other, link) is None
+    assert np.abs(picture(other) - turned).max() < 2 / 255
+    other.get_by_role("button", name="Reset view").click()
+    assert near(picture(other), render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0 if camera == "Front" else 2]).over((0, 0, 0)))
+    other.close()
+
+
+@pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f,g", "0,0,0,0,0,0,0", "1e999,0,0,0,0,0,1", ""])
+def test_a_damaged_link_shows_the_camera(page: Page, made: Path, serve: Serve, view: str) -> None:
+    assert opened(page, serve(made) + f"?width=160&height=120#view={view}&zoom=-3&background=pink") is None
+    assert near(picture(page), truth(0))
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+def test_a_picture_is_saved_at_any_size(page: Page, made: Path, serve: Serve, tmp_path: Path, alpha: bool) -> None:
+    assert opened(page, serve(made)) is None
+    page.get_by_role("button", name="Picture").click()
+    page.get_by_role("spinbutton", name="Width").fill("320")
+    page.get_by_role("spinbutton", name="Height").fill("240")
+    page.get_by_role("checkbox", name="Without the background").set_checked(alpha)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save PNG").click()
+    download.value.save_as(tmp_path / "saved.png")
+    assert download.value.suggested_filename == "Front.png"
+    with Image.open(tmp_path / "saved.png") as image:
+        saved = np.asarray(image) / 255
+    expected = render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0].resized(320, 240))
+    assert saved.shape == (240, 320, 4)
+    assert np.abs(saved[..., 3] - (expected.alpha if alpha else 1)).mean() < 0.5 / 255
+    shown = saved[..., :3] * saved[..., 3:] + (1 - saved[..., 3:])
+    assert near(shown, expected.over())
+    assert page.locator("#readout").is_hidden()
 
 
 @pytest.mark.parametrize("word", ["constructor", "__proto__", "toString", "hasOwnProperty", "pink", ""])

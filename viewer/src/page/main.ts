@@ -1,5 +1,8 @@
 // The exported page: one <snerg-viewer>, and the address that says what it shows.
 import { asViewerError, defineElement, type SnergViewerElement } from "../index";
+import { readView, writeView } from "../viewer/shared_view";
+
+const STILL = 250; // milliseconds without a change after which the address follows the view
 
 /** The options in the address: ?camera=NAME_OR_INDEX&background=black&width=W&height=H&ui=none. Those after # take precedence. */
 function addressOptions(): URLSearchParams {
@@ -38,12 +41,18 @@ window.addEventListener("unhandledrejection", (event) => element.fail(asViewerEr
 
 defineElement();
 element.viewer?.on("image", () => hook.frames++);
-element.addEventListener("camera", (event) => {
-  const { detail } = event as CustomEvent<string>;
-  history.replaceState(null, "", `#${new URLSearchParams({ camera: detail })}`);
+
+/** Write the view into the address once it stands still; everything else that the address says stays. */
+let writing = 0;
+element.addEventListener("view", () => {
+  clearTimeout(writing);
+  writing = window.setTimeout(() => {
+    if (!element.bar) return;
+    const parameters = writeView(new URLSearchParams(location.hash.slice(1)), element.bar.view);
+    history.replaceState(history.state, "", `#${parameters}`);
+  }, STILL);
 });
-window.addEventListener("hashchange", () => {
-  const name = addressOptions().get("camera");
-  if (name !== null) void element.choose(name);
-});
+const showAddressed = () => element.bar?.show(readView(addressOptions()));
+element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
+window.addEventListener("hashchange", showAddressed);
 window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

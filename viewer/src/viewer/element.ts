@@ -1,15 +1,11 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
-import type { Colour } from "./progressive_renderer";
+import { Bar } from "./bar";
+import { colourOf } from "./shared_view";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
 
-const BACKGROUNDS: ReadonlyMap<string, number> = new Map([
-  ["white", 1],
-  ["grey", 128 / 255],
-  ["black", 0],
-]);
 const MAX_SIZE = 8192; // pixels of a side that may be asked for
 
 /**
@@ -24,7 +20,7 @@ const MAX_SIZE = 8192; // pixels of a side that may be asked for
  *   ui          "none": without the bar
  *   width, height  of the picture in CSS pixels; else it fills the element
  *
- * Events: "load" when the scene is there, "error" with the message in `detail`, "camera" with a camera's name in `detail` when it is chosen.
+ * Events: "picture" with the first picture, "view" when the view changes, "load" when the scene is there, "error" with the message in `detail`, "camera" with a camera's name in `detail` when it is chosen.
  */
 export class SnergViewerElement extends HTMLElement {
   /** The viewer; null until the element is in a page, and where the browser cannot show it. */
@@ -33,6 +29,8 @@ export class SnergViewerElement extends HTMLElement {
   problem: string | null = null;
   /** Resolves to whether the scene is shown. */
   readonly ready: Promise<boolean>;
+  /** The bar and what it can do; null until there is a picture. */
+  bar: Bar | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -62,6 +60,7 @@ export class SnergViewerElement extends HTMLElement {
   disconnectedCallback(): void {
     this.viewer?.destroy();
     this.viewer = null;
+    this.bar = null;
   }
 
   /** Show a message in place of the scene. */
@@ -96,10 +95,6 @@ export class SnergViewerElement extends HTMLElement {
     if (size) Object.assign(stage.style, { width: `${size.width}px`, height: `${size.height}px` });
     stage.classList.toggle("fixed", size !== undefined);
     const background = this.getAttribute("background") ?? "";
-    const swatch = this.root.querySelector<HTMLInputElement>(
-      `[name=background][value=${BACKGROUNDS.has(background) ? background : "white"}]`,
-    );
-    if (swatch) swatch.checked = true;
     const viewer = createViewer(stage, {
       src: this.getAttribute("src") ?? undefined,
       camera: this.getAttribute("camera"),
@@ -127,12 +122,24 @@ export class SnergViewerElement extends HTMLElement {
       this.find("loading").classList.add("beside");
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
-      this.connectBar(viewer);
+      if (this.bar || this.problem) return;
+      this.bar = new Bar(
+        this.root,
+        viewer,
+        (index) => this.choose(index),
+        () => this.dispatchEvent(new CustomEvent("view")),
+      );
+      this.bar.setBackground(background);
+      this.find("bar").hidden = this.getAttribute("ui") === "none";
+      this.dispatchEvent(new CustomEvent("picture"));
     });
-    viewer.on("view", () => this.showFrame(viewer));
+    viewer.on("view", () => {
+      this.bar?.showFrame();
+      this.dispatchEvent(new CustomEvent("view"));
+    });
+    this.addEventListener("keydown", (event) => this.press(event));
     viewer.ready.then(
       () => {
-        this.showFrame(viewer);
         this.settle(this.problem === null);
         this.dispatchEvent(new CustomEvent("load"));
       },
@@ -158,74 +165,16 @@ export class SnergViewerElement extends HTMLElement {
     this.find("loading").classList.add("beside");
   }
 
-  /** Darken what lies outside the camera's image, as Blender does, until the user moves. */
-  private showFrame(viewer: Viewer): void {
-    const { frame, atCamera, camera } = viewer.state;
-    const [left, top, width, height] = frame;
-    this.find("frame").hidden = !atCamera || !camera || (left < 1 && top < 1);
-    Object.assign(this.find("frame").style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
-  }
-
-  /** The bar's cameras, backgrounds and keys. */
-  private connectBar(viewer: Viewer): void {
-    const select = this.find<HTMLSelectElement>("camera");
-    if (select.onchange || this.problem) return;
-    // The page renders without lens distortion, and says so where a camera has one.
-    const options = viewer.cameras.map(
-      (camera, i) => new Option(camera.distortion ? `${camera.name} (lens not shown)` : camera.name, String(i)),
-    );
-    select.replaceChildren(...options);
-    select.value = String(
-      Math.max(
-        viewer.cameras.findIndex((camera) => camera.name === viewer.state.camera),
-        0,
-      ),
-    );
-    select.onchange = () => this.choose(Number(select.value));
-    this.find("cameras").hidden = viewer.cameras.length === 0;
-    this.find("bar").hidden = this.getAttribute("ui") === "none";
-    this.find("previous").onclick = () => this.step(-1);
-    this.find("next").onclick = () => this.step(1);
-    this.find("reset").onclick = () => this.reset();
-    for (const input of this.root.querySelectorAll<HTMLInputElement>("[name=background]")) {
-      input.onchange = () => {
-        viewer.background = colourOf(input.value);
-      };
-    }
-    this.addEventListener("keydown", (event) => this.press(event));
-  }
-
-  private step(by: number): void {
-    const count = this.viewer?.cameras.length ?? 0;
-    if (count) this.choose((Math.max(Number(this.find<HTMLSelectElement>("camera").value), 0) + by + count) % count);
-  }
-
-  private reset(): void {
-    if (this.viewer?.cameras.length) this.step(0);
-    else void this.viewer?.goTo();
-  }
-
   /** Keys, also those that the page passes on from outside the element. */
   press(event: KeyboardEvent): void {
     const origin = event.composedPath()[0];
-    const typed = origin instanceof HTMLInputElement || origin instanceof HTMLSelectElement;
+    const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
-    const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form
-    if (key === "r") this.reset();
-    else if (key === "n" || key === "p") this.step(key === "n" ? 1 : -1);
-    else if (/^[1-9]$/.test(key) && Number(key) <= (this.viewer?.cameras.length ?? 0)) this.choose(Number(key) - 1);
-    else return;
-    event.preventDefault();
+    if (this.bar?.press((event.key ?? "").toLowerCase())) event.preventDefault(); // null when the browser fills in a form
   }
 }
 
 const megabytes = (bytes: number): string => (bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0);
-
-/** A background by its name; white for an unknown name. */
-function colourOf(name: string): Colour {
-  const value = BACKGROUNDS.get(name) ?? 1;
-  return [value, value, value, 1];
-}
 
 export function defineElement(): void {
   if (!customElements.get("snerg-viewer")) customElements.define("snerg-viewer", SnergViewerElement);

@@ -42,13 +42,15 @@ class ViewCamera extends Camera {
 export class View {
   readonly rendered = new ViewCamera(); // see `update`
   camera: Viewed;
-  atCamera = true; // whether the view is the camera's own
+  atCamera = true; // whether the view is `camera` itself
+  shared = false; // whether `camera` was moved by `lookFrom`
   readonly controls: OrbitControls;
   readonly orbitScale: number;
   private readonly centre: Vector3;
   private readonly orbitCameras = { perspective: new PerspectiveCamera(), orthographic: new OrthographicCamera() };
   private size: [number, number] = [1, 1];
   private jumping = false;
+  private lookedZoom = 1; // of `lookFrom`
 
   /** element: receives the mouse. onChange: called when the image changes. */
   constructor(
@@ -89,8 +91,24 @@ export class View {
   /** Show the image of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
   jump(camera: Viewed): void {
     this.camera = camera;
+    this.shared = false;
     this.place();
     this.changed();
+  }
+
+  /** Look from another pose with the lens of the camera. zoom: of an orthographic camera. */
+  lookFrom(cameraToWorld: Matrix4, zoom: number): void {
+    const focal = this.camera.projection === "orthographic" ? this.camera.focal.map((f) => f * zoom) : this.camera.focal;
+    this.lookedZoom = zoom;
+    this.jump({ ...this.camera, focal: focal as [number, number], cameraToWorld });
+    this.shared = true;
+    this.onChange();
+  }
+
+  /** The zoom from the exported camera, of an orthographic one. */
+  get zoom(): number {
+    const orbit = this.atCamera ? 1 : (this.controls.object as OrthographicCamera).zoom;
+    return this.camera.projection === "orthographic" ? orbit * (this.shared ? this.lookedZoom : 1) : 1;
   }
 
   private place(): void {

@@ -2,10 +2,12 @@
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
 import { readCameras, type SnergCamera } from "../data/cameras";
 import { EmbeddedFiles, type FileSource, ServerFiles } from "../data/files";
+import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
+import { rowsOf } from "./shared_view";
 import { type OrbitLimits, View } from "./view";
 
 const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
@@ -43,6 +45,7 @@ export interface ViewerState {
   camera: string; // the name of the camera that was shown last; "" for none
   atCamera: boolean; // whether the view is still that camera's own
   cameraToWorld: number[][]; // of the view: four rows, Blender's axes
+  zoom: number; // of an orthographic camera, from its own
   frame: [number, number, number, number]; // where the camera's image lies: left, top, width, height in CSS pixels
 }
 
@@ -56,6 +59,8 @@ export interface Viewer {
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
+  /** Look from a pose, camera-to-world in four rows, with the lens of the camera that is shown. zoom: of an orthographic camera. */
+  lookFrom(cameraToWorld: number[][], zoom?: number): void;
   /** Turn the orbit, by radians. */
   turn(right: number, up: number): void;
   /** Resolves when the page shows the full image of the view. */
@@ -163,8 +168,14 @@ class CanvasViewer implements Viewer {
 
   get state(): ViewerState {
     const { view } = this;
-    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), frame: [0, 0, 0, 0] };
-    return { camera: view.camera.name, atCamera: view.atCamera, cameraToWorld: rowsOf(view.pose()), frame: view.frame };
+    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0] };
+    return {
+      camera: view.camera.name,
+      atCamera: view.atCamera && !view.shared,
+      cameraToWorld: rowsOf(view.pose()),
+      zoom: view.zoom,
+      frame: view.frame,
+    };
   }
 
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void {
@@ -194,6 +205,11 @@ class CanvasViewer implements Viewer {
       }
     }
     if (flight === this.flight) view.jump(target);
+  }
+
+  lookFrom(cameraToWorld: number[][], zoom = 1): void {
+    this.flight++;
+    this.view?.lookFrom(matrixOfRows(cameraToWorld), zoom);
   }
 
   turn(right: number, up: number): void {
@@ -312,8 +328,6 @@ function makeRenderer(canvas: HTMLCanvasElement, fail: (error: ViewerError) => v
 }
 
 const nextFrame = (): Promise<number> => new Promise((resolve) => requestAnimationFrame(() => resolve(performance.now())));
-
-const rowsOf = (matrix: Matrix4): number[][] => [0, 1, 2, 3].map((row) => [0, 1, 2, 3].map((column) => matrix.elements[4 * column + row]));
 
 /** A camera on the way from one to another: part 0 is the first, 1 the second. */
 function between<T extends Omit<SnergCamera, "name">>(from: T, to: T, part: number): T {
