@@ -19,7 +19,7 @@ from ..core.data.readers.transforms import intrinsics_json, write_transforms
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
-from ..core.io.files import MARK, cannot_write, check_replaceable, json_bytes, new_folder, read_json, write_bytes
+from ..core.io.files import MARK, cannot_write, check_replaceable, discard, json_bytes, new_folder, read_json, write_bytes
 from ..core.io.images import read_image, read_size
 from ..core.progress import Progress, silent
 from .bridge import set_camera
@@ -111,7 +111,7 @@ def checked(
     alphas = [np.asarray(read_image(path))[..., 3] for path in pictures]
     clear = [camera.name for camera, alpha in zip(cameras, alphas, strict=True) if not alpha.any()]
     if len(clear) == len(cameras):
-        shutil.rmtree(pictures[0].parent.parent, ignore_errors=True)
+        discard(pictures[0].parent.parent)
         raise SnergError(f"Every picture is empty: {why_clear(scene, cameras, frame_of(shots[0]), settings)}.")
     said = [f"{len(clear)} of {len(cameras)} pictures show nothing: {listed(clear)}."] if clear else []
     return [*said, mismatch(scene, [frame_of(shot) for shot in shots], cameras, alphas, settings)]
@@ -131,7 +131,7 @@ def shot_splits(shots: Sequence[Shot], settings: CaptureSettings) -> list[str]:
 def start_unfinished(part: Path, key: dict[str, Any]) -> None:
     """Make an empty unfinished dataset, in place of an earlier one. key: its `rendering_key`. Raises SnergError."""
     check_replaceable(part)
-    shutil.rmtree(part, ignore_errors=True)
+    discard(part)
     write_bytes(part / MARK, b"Written by SNeRG for Blender; an unfinished dataset that the next rendering completes.\n")
     write_bytes(part / RENDERING, json_bytes(key))
 
@@ -143,7 +143,7 @@ def complete(part: Path, folder: Path, splits: Sequence[str], passes: Sequence[s
         for name in (path.relative_to(part) for path in (*files, *part.glob("transforms_*.json"))):
             (whole / name).parent.mkdir(parents=True, exist_ok=True)
             link_or_copy(part / name, whole / name)
-    shutil.rmtree(part, ignore_errors=True)
+    discard(part)
 
 
 def unfinished(folder: Path) -> Path:

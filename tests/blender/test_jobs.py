@@ -396,8 +396,10 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
     """Render with kills at random moments; the result must equal an uninterrupted one. Returns the number of views that were kept."""
     project, kept = project_of(scene), 0
 
-    def check() -> None:
+    def check(killed: bool) -> None:
         until(lambda: not activity.current())
+        sentence, good = activity.last_report(project.folder)
+        assert killed or good, sentence
         if not unfinished(project.own_dataset).exists():
             assert contents(project.own_dataset) == whole
 
@@ -406,12 +408,13 @@ def killed_renderings(scene, whole: dict, kills: int, rng: random.Random) -> int
         view = rng.randint(min(views_rendered(project.own_dataset)[0] + 2, 5), 5)
         until(lambda: begun.task.ended or begun.task.fraction >= (view - 1) / 5)  # noqa: B023
         time.sleep(rng.uniform(0.0, 0.1))
-        if folders.is_alive(begun.task.folder):
+        alive = folders.is_alive(begun.task.folder)
+        if alive:
             os.kill(int((begun.task.folder / folders.LOCK).read_text()), signal.SIGKILL)
-        check()
+        check(killed=alive)
         kept += views_rendered(project.own_dataset)[0]
     launch(SNERG_OT_render_dataset.bl_idname, job_of(scene))
-    check()
+    check(killed=False)
     assert views_rendered(project.own_dataset) == (0, 0)
     return kept
 
