@@ -23,6 +23,7 @@ POSTER_SIDE = 960  # pixels of the poster's longer side at most
 POSTER_QUALITY = 80
 ELEMENT = "<snerg-viewer>"
 TITLE = "<title>SNeRG</title>"
+HEADING = '<h1 class="unseen">SNeRG</h1>'  # for screen readers
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ def page_html(template: str, settings: PageSettings, poster: str | None) -> str:
     if settings.elevation:
         attributes["elevation"] = _pair(settings.elevation)
     tag = "".join(f' {name}="{html.escape(value)}"' for name, value in attributes.items())
-    return template.replace(TITLE, _head(settings, poster)).replace(ELEMENT, f"{ELEMENT[:-1]}{tag}>")
+    heading = HEADING.replace("SNeRG", html.escape(settings.title or "SNeRG"))
+    return template.replace(TITLE, _head(settings, poster)).replace(HEADING, heading).replace(ELEMENT, f"{ELEMENT[:-1]}{tag}>")
 
 
 def _pair(values: tuple[float, float]) -> str:

@@ -24,7 +24,7 @@ from snerg.core.export.page import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.coarse import coarse_scene
-from snerg.tests.web.conftest import opened, picture
+from snerg.tests.web.conftest import ROOT, opened, picture
 
 Serve = Callable[[Path], str]
 
@@ -173,6 +173,58 @@ def test_a_view_is_shared(page: Page, browser: Browser, made: Path, serve: Serve
     other.get_by_role("button", name="Reset view").click()
     assert near(picture(other), render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0 if camera == "Front" else 2]).over((0, 0, 0)))
     other.close()
+
+
+def test_keys_zoom(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120") is None
+    first = picture(page)
+    page.locator("#canvas").press("+")
+    assert np.abs(picture(page) - first).mean() > 1 / 255
+    page.locator("#canvas").press("-")
+    assert np.abs(picture(page) - first).mean() < 1 / 255
+
+
+def test_the_wheel_scrolls_the_page_around_a_frame(page: Page, made: Path, serve: Serve) -> None:
+    """It zooms with Ctrl alone, and a hint says so."""
+    (made / "around.html").write_text('<iframe src="index.html?width=160&height=120" width="300" height="200"></iframe>')
+    page.goto(serve(made) + "around.html")
+    (made / "around.html").unlink()
+    inside = page.frames[1]
+    inside.wait_for_load_state()
+    assert inside.evaluate("window.snerg.ready")
+    place = "JSON.stringify(document.querySelector('snerg-viewer').viewer.state.cameraToWorld)"
+    before = inside.evaluate(place)
+    page.mouse.move(60, 60)
+    page.mouse.wheel(0, -300)
+    inside.get_by_text("Hold Ctrl").wait_for(state="visible")
+    assert inside.evaluate(place) == before
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -300)
+    page.keyboard.up("Control")
+    for _ in range(30):
+        page.wait_for_timeout(100)
+        if inside.evaluate(place) != before:
+            return
+    pytest.fail("Ctrl and the wheel do not zoom")
+
+
+AXE = """axe.run(document, { resultTypes: ['violations'] })
+    .then((found) => found.violations.map((one) => [one.id, one.nodes.map((node) => node.html)]))"""
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_axe_finds_nothing(browser: Browser, made: Path, serve: Serve, width: int) -> None:
+    """The rules of axe-core for accessibility, on the page, and with each of its dialogs open."""
+    context = browser.new_context(viewport={"width": width, "height": 700}, bypass_csp=True)
+    page = context.new_page()
+    assert opened(page, serve(made)) is None
+    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
+    assert page.evaluate(AXE) == []
+    for opens, closes in (("Share", "Close"), ("Picture", "Close")):
+        page.get_by_role("button", name=opens).click()
+        assert page.evaluate(AXE) == []
+        page.get_by_role("button", name=closes).click()
+    context.close()
 
 
 @pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f,g", "0,0,0,0,0,0,0", "1e999,0,0,0,0,0,1", ""])

@@ -6,6 +6,7 @@ import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
 
+const HINT_SHOWN = 1500; // milliseconds
 const MAX_SIZE = 8192; // pixels of a side that may be asked for
 
 /**
@@ -106,7 +107,7 @@ export class SnergViewerElement extends HTMLElement {
     const { canvas } = viewer;
     canvas.id = "canvas";
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, R to reset.");
+    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, plus and minus to zoom, R to reset.");
     viewer.on("error", (error) => this.fail(error));
     viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
@@ -136,6 +137,14 @@ export class SnergViewerElement extends HTMLElement {
     viewer.on("view", () => {
       this.bar?.showFrame();
       this.dispatchEvent(new CustomEvent("view"));
+    });
+    let hiding = 0;
+    viewer.on("scroll", () => {
+      this.find("hint").hidden = false;
+      clearTimeout(hiding);
+      hiding = window.setTimeout(() => {
+        this.find("hint").hidden = true;
+      }, HINT_SHOWN);
     });
     this.addEventListener("keydown", (event) => this.press(event));
     viewer.ready.then(

@@ -64,7 +64,14 @@ export class View {
     this.centre = sphere.center;
     for (const camera of Object.values(this.orbitCameras)) camera.up.set(0, 0, 1);
     this.controls = new OrbitControls(this.orbitCameras.perspective, element);
-    Object.assign(this.controls, { rotateSpeed: 0.8, minDistance: 1e-3, maxDistance: 100, minZoom: 1e-2, maxZoom: 1e3 });
+    Object.assign(this.controls, {
+      rotateSpeed: 0.8,
+      zoomToCursor: true,
+      minDistance: 1e-3,
+      maxDistance: 100,
+      minZoom: 1e-2,
+      maxZoom: 1e3,
+    });
     if (limits.distance) [this.controls.minDistance, this.controls.maxDistance] = limits.distance.map((length) => length / this.orbitScale);
     if (limits.elevation) {
       const [low, high] = limits.elevation.map((degrees) => ((90 - degrees) * Math.PI) / 180);
@@ -136,6 +143,12 @@ export class View {
     controls.rotateLeft(-right);
     controls.rotateUp(up);
     controls.update();
+  }
+
+  /** Come nearer by a factor above 1, or go farther by one below; an orthographic camera zooms. */
+  approach(factor: number): void {
+    const controls = this.controls as OrbitControls & { dollyIn(scale: number): void };
+    controls.dollyIn(factor);
   }
 
   /** The page's size in CSS pixels. Returns the one before. */

@@ -18,6 +18,7 @@ const TURNS: ReadonlyMap<string, [number, number]> = new Map([
   ["ArrowUp", [0, 1]],
   ["ArrowDown", [0, -1]],
 ]);
+const KEY_APPROACH = 1.1; // a key press
 const NO_WEBGL =
   "This browser offers no WebGL 2, which renders the scene. Switch on graphics acceleration in its settings, or use a newer browser.";
 const LOST = "The graphics driver was reset and the scene was lost from its memory. Reload the page.";
@@ -39,6 +40,7 @@ export interface ViewerEvents {
   image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
   view: ViewerState;
   error: ViewerError;
+  scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
 }
 
 export interface ViewerState {
@@ -105,6 +107,7 @@ class CanvasViewer implements Viewer {
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => this.restore());
     this.canvas.addEventListener("keydown", (event) => this.press(event));
+    this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
     this.ready = this.load();
     this.ready.catch((error: unknown) => this.fail(error));
   }
@@ -267,9 +270,18 @@ class CanvasViewer implements Viewer {
 
   private press(event: KeyboardEvent): void {
     const turn = TURNS.get(event.key);
-    if (!turn || event.ctrlKey || event.metaKey || event.altKey) return;
-    this.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
+    const nearer = event.key === "+" || event.key === "=";
+    if (event.ctrlKey || event.metaKey || event.altKey || (!turn && !nearer && event.key !== "-")) return;
+    if (turn) this.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
+    else this.view?.approach(nearer ? KEY_APPROACH : 1 / KEY_APPROACH);
     event.preventDefault();
+  }
+
+  /** Inside the frame of another page the wheel scrolls that page, and zooms with Ctrl alone. */
+  private spareScrolling(event: WheelEvent): void {
+    if (window.self === window.top || event.ctrlKey || event.metaKey) return;
+    event.stopImmediatePropagation();
+    this.emit("scroll", undefined);
   }
 
   /** The graphics driver was reset: bring the scene to the card again. */
