@@ -92,7 +92,9 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
 
 def add_codec_options(parser: argparse.ArgumentParser, default: str) -> None:
     """Add --codec and --quality. default: of the codec, as the help shows it."""
-    parser.add_argument("--codec", choices=tuple(SUFFIXES), help=f"of the scene's images; png and webp are lossless (default: {default})")
+    parser.add_argument(
+        "--codec", choices=tuple(SUFFIXES), help=f"of the scene's images; png, webp and jxl are lossless (default: {default})"
+    )
     parser.add_argument("--quality", type=count, metavar="Q", help=f"of lossy codecs, 1 to 100 (default: {CodecSettings.quality})")
 
 

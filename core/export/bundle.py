@@ -41,18 +41,20 @@ def write_bundle(
 
     cameras: the cameras that the page lists; it opens at the first. single_file: write index.html alone, with the rest inside.
     source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
-    check_showable(scene, codec)
+    check_showable(scene, codec, single_file)
     page, script = viewer_files()
+    alternatives = (CodecSettings("webp"),) if codec.name == "jxl" else ()
 
     def write_data(data: Path) -> None:
         """Write cameras.json and scene/, which the page reads."""
         (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
-        if source is None:
+        if source is None or alternatives:
             (data / "scene").mkdir()
-            write_scene_files(scene, data / "scene", progress, codec)
+            write_scene_files(scene, data / "scene", progress, codec, alternatives)
         else:
             one_generation(source, lambda: _copy_scene(source, data / "scene", codec))
 
@@ -87,12 +89,16 @@ def viewer_files() -> tuple[str, str]:
         ) from error
 
 
-def check_showable(scene: Scene, codec: CodecSettings) -> None:
+def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False) -> None:
     """Raise SnergError when browsers cannot show the scene or decode the codec, or when the codec is not installed."""
     if not scene.quantised:
         raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")
     if codec.name == "h264":
         raise SnergError("Browsers decode no H.264 at full chroma, which features need; choose the codec avif for a page as small.")
+    if codec.name == "jxl" and single_file:
+        raise SnergError(
+            "Not all browsers decode JPEG XL, so a page of one file would hold every image twice: choose the codec webp, or no single file."
+        )
     codec.check()
 
 

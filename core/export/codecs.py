@@ -1,4 +1,4 @@
-"""How the slices of the atlas are stored (section 5.4, table 3): PNG and WebP lossless; JPEG, AVIF and H.264 lossy.
+"""How the slices of the atlas are stored (section 5.4, table 3): PNG, WebP and JPEG XL lossless; JPEG, AVIF and H.264 lossy.
 
 A slice, uint8 [H, W, 4 or 8], becomes one or more images, each of a kind: 'rgba', 'feature', 'rgb' or 'alpha'. Alpha is always
 stored lossless. Colours and features are premultiplied by alpha; what a lossy codec returns is limited to alpha, so that empty
@@ -17,15 +17,17 @@ from PIL import features
 
 from ..errors import SnergError
 
-SUFFIXES = {"png": "png", "webp": "webp", "jpeg": "jpg", "avif": "avif", "h264": "mp4"}
-LOSSLESS = ("png", "webp")
+SUFFIXES = {"png": "png", "webp": "webp", "jxl": "jxl", "jpeg": "jpg", "avif": "avif", "h264": "mp4"}
+LOSSLESS = ("png", "webp", "jxl")
 
 
 @dataclass(frozen=True)
 class CodecSettings:
     """A codec and its quality. Raises SnergError on an unknown name or a quality out of range."""
 
-    name: str = "png"  # 'png', 'webp' (lossless), 'jpeg', 'avif' or 'h264' (lossy); H.264 needs PyAV, and web pages cannot show it
+    # 'png', 'webp', 'jxl' (lossless), 'jpeg', 'avif' or 'h264' (lossy). JPEG XL needs pillow-jxl-plugin, H.264 needs PyAV, and web pages
+    # cannot show the latter.
+    name: str = "png"
     quality: int = 90  # 1 to 100, of lossy codecs: JPEG's and AVIF's own scales; for H.264 the constant rate factor 0.51 (100 - quality)
 
     def __post_init__(self) -> None:
@@ -43,6 +45,8 @@ class CodecSettings:
         """Raise SnergError when the codec is not installed."""
         if self.name == "h264":
             import_av()
+        elif self.name == "jxl":
+            import_jxl()
         elif self.name in ("avif", "webp") and not features.check(self.name):
             raise SnergError(
                 f"This Python's Pillow does not support {self.name.upper()}: run 'pip install --upgrade pillow', or choose another codec."
@@ -70,6 +74,18 @@ def import_av() -> Any:
     except ImportError as error:
         raise SnergError("H.264 needs the package PyAV, which is not installed: run 'pip install av', or choose another codec.") from error
     return av
+
+
+def import_jxl() -> Any:
+    """The module pillow_jxl, which teaches Pillow JPEG XL. Raises SnergError, saying how to install it, when it is missing."""
+    try:
+        import pillow_jxl
+    except ImportError as error:
+        raise SnergError(
+            "JPEG XL needs the package pillow-jxl-plugin, which is not installed: run 'pip install pillow-jxl-plugin', "
+            "or choose another codec."
+        ) from error
+    return pillow_jxl
 
 
 def images_of_slice(pixels: NDArray[Any], codec: CodecSettings) -> dict[str, NDArray[Any]]:
@@ -110,5 +126,5 @@ def image_shapes(shape: tuple[int, int, int], codec: CodecSettings) -> dict[str,
 
 
 def image_suffix(kind: str, codec: CodecSettings) -> str:
-    """The file name suffix, without a dot, of images of a kind."""
-    return "png" if kind == "alpha" else SUFFIXES[codec.name]
+    """The file name suffix, without a dot, of images of a kind. Alpha is PNG wherever the codec loses something or has no grey images."""
+    return "png" if kind == "alpha" and codec.name != "jxl" else SUFFIXES[codec.name]

@@ -56,7 +56,7 @@ COSTS = {  # of an effect, and of leaving it out, where they are not measured
         "All of it but one sample's share; fine detail is then aliased.",
     ),
     REFINE: ("A march of some pixels of every training view, and the fit of the network.", "Both."),
-    CODEC: ("Decibels, and time to write.", "Quality: PNG and WebP are lossless, and take more bytes."),
+    CODEC: ("Decibels, and time to write.", "Quality: PNG, WebP and JPEG XL are lossless, and take more bytes."),
     LENS: ("Undistorting each training ray.", "Nothing: rays would not match the images."),
     INTRINSICS: ("Nothing: each ray has the intrinsics of its camera.", "Nothing."),
 }

@@ -2,11 +2,12 @@
 import { Matrix3, Matrix4, Vector3 } from "three";
 import { EXPORT_AGAIN, ViewerError } from "./errors.js";
 import { readFile, readJson } from "./files.js";
+import { decodes } from "./image.js";
 import { decodePng } from "./png.js";
 
 export const DATA_VOXELS = 30; // voxels of a macroblock along an axis
 export const CELL_VOXELS = 32; // the same with the apron of one voxel on each side, as stored in a cell of the atlas
-const CODECS = ["png", "webp", "jpeg", "avif"]; // that browsers decode
+const CODECS = ["png", "webp", "jxl", "jpeg", "avif"]; // that browsers decode, JPEG XL not all of them
 const NETWORK_SHAPES = { weights_0: [34, 16], bias_0: [16], weights_1: [16, 16], bias_1: [16], weights_2: [16, 3], bias_2: [3] };
 
 /** A rigid transform, given by its four rows as in the JSON files. */
@@ -25,7 +26,7 @@ const isPositiveInteger = (value) => Number.isSafeInteger(value) && value > 0;
 const isShape = (value) => Array.isArray(value) && value.length === 3 && value.every(isPositiveInteger);
 
 /**
- * What scene.json holds, and with it `blocks`, the number of macroblocks along x, y and z; `gridToWorld`, a Matrix4 whose
+ * What scene.json holds (as `codec` the first of its codecs that this browser decodes), and with it `blocks`, the number of macroblocks along x, y and z; `gridToWorld`, a Matrix4 whose
  * rotation's columns are the grid's axes and whose position is the grid's corner; and `networkFromWorld`, a rotation as a Matrix4.
  *
  * Throws a ViewerError that names the file and the key where a value is missing or invalid.
@@ -42,10 +43,19 @@ export async function readScene(name) {
   if (invalid) throw new ViewerError(`The file ${name} is damaged: "${invalid}" is missing or invalid. ${EXPORT_AGAIN}`);
   return {
     ...scene,
+    codec: await decodableCodec(scene, name),
     blocks: scene.shape.map((voxels) => Math.ceil(voxels / DATA_VOXELS)),
     gridToWorld: matrixOfRows(scene.grid_to_world),
     networkFromWorld: new Matrix4().setFromMatrix3(new Matrix3(...scene.view_rotation.flat())),
   };
+}
+
+/** The first of a scene's codecs that this browser decodes. The images of each lie beside those of the others. */
+async function decodableCodec(scene, name) {
+  for (const codec of [scene.codec, ...(scene.alternatives ?? [])]) {
+    if (await decodes(codec.name)) return codec;
+  }
+  throw new ViewerError(`This browser decodes no ${scene.codec.name}, and ${name} names no other codec. ${EXPORT_AGAIN}`);
 }
 
 /** The first key of scene.json whose value is missing or invalid, or undefined. */
@@ -58,6 +68,7 @@ function invalidKey(scene) {
     view_rotation: isArray(scene.view_rotation, [3, 3]),
     near: Number.isFinite(scene.near),
     codec: CODECS.includes(scene.codec?.name),
+    alternatives: scene.alternatives === undefined || isCodecs(scene.alternatives),
     atlas_blocks: isShape(scene.atlas_blocks),
     cells: Number.isSafeInteger(scene.cells) && scene.cells >= 0 && scene.cells <= bx * by * bz,
     network_transmittance: Number.isFinite(scene.network_transmittance),
@@ -66,6 +77,10 @@ function invalidKey(scene) {
     fill_holes: typeof scene.fill_holes === "boolean",
   };
   return Object.keys(valid).find((key) => !valid[key]);
+}
+
+function isCodecs(codecs) {
+  return Array.isArray(codecs) && codecs.every((codec) => CODECS.includes(codec?.name));
 }
 
 function isNetwork(network) {

@@ -6,8 +6,9 @@ import { CELL_VOXELS } from "./scene.js";
 
 export const SLICE_PLANES = 4; // Z planes a slice
 
-// `bounded`: the codec is lossy, and its values are limited to alpha.
+// `bounded`: the codec is lossy, and its values are limited to alpha. `grey`: alpha is stored with this codec, too, in place of PNG.
 const CODECS = {
+  jxl: { suffix: "jxl", type: "image/jxl", bounded: false, grey: true },
   webp: { suffix: "webp", type: "image/webp", bounded: false },
   jpeg: { suffix: "jpg", type: "image/jpeg", bounded: true },
   avif: { suffix: "avif", type: "image/avif", bounded: true },
@@ -31,14 +32,19 @@ export async function readSlice(scene, folder, slice) {
     const [rgba, feature] = await Promise.all([png("rgba", 4), viewDependent ? png("feature", 4) : null]);
     return { rgba, feature };
   }
-  const { suffix, type, bounded } = CODECS[scene.codec.name];
+  const { suffix, type, bounded, grey } = CODECS[scene.codec.name];
   const opaque = async (kind, rows) => decodeOpaque(...(await file(kind, suffix)), width, rows, type);
   const [alpha, rgb, feature] = await Promise.all([
-    png("alpha", 1),
+    grey ? opaque("alpha", height).then(firstChannel) : png("alpha", 1),
     opaque("rgb", height),
     viewDependent ? opaque("feature", 2 * height) : null,
   ]);
   return mergeAlpha(alpha, rgb, feature, bounded);
+}
+
+/** One byte a pixel of an image of four. */
+function firstChannel(pixels) {
+  return Uint8Array.from({ length: pixels.length / 4 }, (_, i) => pixels[4 * i]);
 }
 
 /**
