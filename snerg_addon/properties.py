@@ -302,6 +302,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=1,
         max=100,
     )
+    half_features: BoolProperty(
+        name="Half Features",
+        description="Store the features, which the view dependence is computed from, at half the resolution: about half of all bytes",
+        default=False,
+    )
     single_file: BoolProperty(
         name="Single File",
         description="Write one .html file that opens without a web server, instead of a folder",

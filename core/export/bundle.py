@@ -11,6 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def write_bundle(
     """
     check_showable(scene, codec, single_file)
     page, script = viewer_files()
-    alternatives = (CodecSettings("webp"),) if codec.name == "jxl" else ()
+    alternatives = (replace(codec, name="webp"),) if codec.name == "jxl" else ()
 
     def write_data(data: Path) -> None:
         """Write cameras.json and scene/, which the page reads."""

@@ -175,6 +175,15 @@ def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bo
         assert (shown[render_scene(scene, camera).alpha == 0] == 0).all(), "no haze"
 
 
+@pytest.mark.parametrize("name", ["png", "webp", "avif"])
+def test_features_at_half_the_resolution(page: Page, tmp_path: Path, serve: Serve, name: str) -> None:
+    scene, codec = make_snerg(angles=TURNED, shape=(40, 45, 50)), CodecSettings(name, 90, half_features=True)
+    write_bundle(scene, make_cameras(), tmp_path / "web", codec=codec)
+    back = read_scene(tmp_path / "web" / "scene")
+    assert (back.cells[..., 3:7] != scene.cells[..., 3:7]).any()
+    compare(page, serve(tmp_path / "web"), back, make_cameras()[0], 0)
+
+
 @pytest.mark.parametrize("known", [False, True], ids=["webp", "jxl"])
 def test_a_browser_loads_jpeg_xl_where_it_decodes_it(launch: Callable[..., Browser], tmp_path: Path, serve: Serve, known: bool) -> None:
     """Chromium 147 decodes it behind a flag; without, the page loads WebP. Both are lossless."""

@@ -67,7 +67,7 @@ function invalidKey(scene) {
     grid_to_world: isArray(scene.grid_to_world, [4, 4]),
     view_rotation: isArray(scene.view_rotation, [3, 3]),
     near: Number.isFinite(scene.near),
-    codec: CODECS.includes(scene.codec?.name),
+    codec: isCodecs([scene.codec]),
     alternatives: scene.alternatives === undefined || isCodecs(scene.alternatives),
     atlas_blocks: isShape(scene.atlas_blocks),
     cells: Number.isSafeInteger(scene.cells) && scene.cells >= 0 && scene.cells <= bx * by * bz,
@@ -80,7 +80,7 @@ function invalidKey(scene) {
 }
 
 function isCodecs(codecs) {
-  return Array.isArray(codecs) && codecs.every((codec) => CODECS.includes(codec?.name));
+  return Array.isArray(codecs) && codecs.every((codec) => CODECS.includes(codec?.name) && [undefined, true, false].includes(codec.half_features));
 }
 
 function isNetwork(network) {

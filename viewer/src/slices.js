@@ -28,18 +28,49 @@ export async function readSlice(scene, folder, slice) {
   const height = SLICE_PLANES * scene.atlas_blocks[1] * CELL_VOXELS;
   const png = async (kind, channels) => decodePng(...(await file(kind, "png")), width, height, channels);
   const viewDependent = scene.network !== null;
+  const half = scene.codec.half_features === true;
+  const [featureWidth, featureHeight] = half ? [width / 2, height / 4] : [width, height];
   if (scene.codec.name === "png") {
-    const [rgba, feature] = await Promise.all([png("rgba", 4), viewDependent ? png("feature", 4) : null]);
-    return { rgba, feature };
+    const features = async () => decodePng(...(await file("feature", "png")), featureWidth, featureHeight, 4);
+    const [rgba, feature] = await Promise.all([png("rgba", 4), viewDependent ? features() : null]);
+    return { rgba, feature: feature && half ? restoreFeatures(feature, rgba, width) : feature };
   }
   const { suffix, type, bounded, grey } = CODECS[scene.codec.name];
-  const opaque = async (kind, rows) => decodeOpaque(...(await file(kind, suffix)), width, rows, type);
+  const opaque = async (kind, columns, rows) => decodeOpaque(...(await file(kind, suffix)), columns, rows, type);
   const [alpha, rgb, feature] = await Promise.all([
-    grey ? opaque("alpha", height).then(firstChannel) : png("alpha", 1),
-    opaque("rgb", height),
-    viewDependent ? opaque("feature", 2 * height) : null,
+    grey ? opaque("alpha", width, height).then(firstChannel) : png("alpha", 1),
+    opaque("rgb", width, height),
+    viewDependent ? opaque("feature", featureWidth, 2 * featureHeight) : null,
   ]);
-  return mergeAlpha(alpha, rgb, feature, bounded);
+  if (!half || !feature) return mergeAlpha(alpha, rgb, feature, bounded);
+  const { rgba } = mergeAlpha(alpha, rgb, null, bounded);
+  return { rgba, feature: restoreFeatures(mergeGrey(feature), rgba, width) };
+}
+
+/**
+ * Features of a slice from those at half its resolution: a straight value for each 2 x 2 x 2 texels, times each texel's alpha. Both
+ * have four bytes a texel (core/export/half_features.py).
+ */
+function restoreFeatures(straight, rgba, width) {
+  const whole = new Uint8Array(rgba.length);
+  const planeHeight = rgba.length / 4 / width / SLICE_PLANES;
+  for (let row = 0; row < SLICE_PLANES * planeHeight; row++) {
+    const plane = Math.floor(row / planeHeight) >> 1;
+    const from = (plane * (planeHeight / 2) + ((row % planeHeight) >> 1)) * (width / 2);
+    for (let x = 0; x < width; x++) {
+      const [to, source] = [4 * (row * width + x), 4 * (from + (x >> 1))];
+      const alpha = rgba[to + 3];
+      if (alpha > 0) for (let i = 0; i < 4; i++) whole[to + i] = (straight[source + i] * alpha + 127) / 255;
+    }
+  }
+  return whole;
+}
+
+/** The upper half of an image, with the grey of its lower half as fourth channel. */
+function mergeGrey(pixels) {
+  const half = pixels.length / 2;
+  for (let i = 0; i < half; i += 4) pixels[i + 3] = pixels[half + i + 1];
+  return pixels.subarray(0, half);
 }
 
 /** One byte a pixel of an image of four. */
@@ -53,10 +84,8 @@ function firstChannel(pixels) {
  */
 function mergeAlpha(alpha, rgb, feature, bounded) {
   const pixels = alpha.length;
-  for (let i = 0; i < pixels; i++) {
-    rgb[4 * i + 3] = alpha[i];
-    if (feature) feature[4 * i + 3] = feature[4 * (pixels + i) + 1];
-  }
+  for (let i = 0; i < pixels; i++) rgb[4 * i + 3] = alpha[i];
+  if (feature) mergeGrey(feature);
   if (bounded) {
     // Values are premultiplied by alpha, hence at most alpha. A lossy codec exceeds it, which would show as haze in empty space.
     for (let i = 0; i < pixels; i++) {

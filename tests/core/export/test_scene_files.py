@@ -13,13 +13,15 @@ from PIL import Image
 
 from scenes import empty_snerg, make_cameras, make_forward, make_snerg, snerg_from_volume
 from snerg.core.errors import SnergError
-from snerg.core.export.codecs import SUFFIXES, CodecSettings
+from snerg.core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
 from snerg.core.export.image_files import encode_image, read_image_file
 from snerg.core.export.jxl import MAX_HEADER_BYTES, jxl_size
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import codec_of, read_scene, write_scene, write_scene_files
 from snerg.core.export.video_files import VideoWriter
 from snerg.core.rendering.render import render_scene
+from snerg.core.scene.blocks import block_coordinates, fill_aprons
+from snerg.core.scene.half_features import with_half_features
 from snerg.core.scene.scene import Scene
 
 
@@ -101,6 +103,46 @@ def test_codecs(tmp_path, name, diffuse):
         assert means[0] < 0.1 < means[1] < 1 and sizes[0] > 1.5 * sizes[1]
     else:
         assert same(back, scene) and sizes[0] == sizes[1]
+
+
+def alike_in_groups(scene: Scene) -> Scene:
+    """The scene with straight features that are the same in each 2 x 2 x 2 voxels of a cell."""
+    cells = scene.cells.copy()
+    places = np.indices(cells.shape[:4])[1:] // 2 + block_coordinates(scene.indirection).T.reshape(3, -1, 1, 1, 1) * 15
+    straight = np.stack([(37 * (k + 1) * places[0] + 11 * places[1] + 101 * places[2]) % 256 for k in range(4)], axis=-1)
+    cells[..., 3:7] = (straight * cells[..., 7:].astype(int) + 127) // 255
+    return replace(scene, cells=cells)
+
+
+@pytest.mark.parametrize("name", ["png", "webp", "jxl", "jpeg"])
+def test_features_at_half_the_resolution(tmp_path, name):
+    """Colours and alpha are as with the codec alone; features follow from a straight value a group, also across blocks' borders."""
+    needs(name)
+    scene = alike_in_groups(make_snerg((70, 40, 35)))
+    codec = CodecSettings(name, half_features=True)
+    for folder, one in (("half", codec), ("whole", CodecSettings(name))):
+        write_scene(scene, tmp_path / folder, codec=one)
+    half, whole = (read_scene(tmp_path / folder) for folder in ("half", "whole"))
+    assert codec_of(tmp_path / "half") == codec
+    assert np.array_equal(half.cells[..., [0, 1, 2, 7]], whole.cells[..., [0, 1, 2, 7]])
+    difference = np.abs(half.cells[..., 3:7].astype(int) - scene.cells[..., 3:7])
+    assert difference.mean() < 0.5 and (name not in LOSSLESS or difference.max() <= 4), "rounded once more; the sum of 8 errors of a half"
+    aprons = half.cells.copy()
+    list(fill_aprons(aprons, half.indirection))
+    assert name not in LOSSLESS or np.array_equal(aprons, half.cells)
+    sizes = [sum(path.stat().st_size for path in (tmp_path / folder).glob("feature*")) for folder in ("half", "whole")]
+    assert np.array_equal(with_half_features(whole.cells), half.cells) == (name in LOSSLESS)
+    assert sizes[0] < 0.75 * sizes[1]
+
+
+def test_features_above_alpha_need_the_whole_resolution(tmp_path):
+    scene = make_snerg((20, 20, 20))
+    scene = replace(scene, cells=np.maximum(scene.cells, np.array([0] * 3 + [1] + [0] * 4, np.uint8)))
+    with pytest.raises(SnergError, match="features above their alpha"):
+        write_scene(scene, tmp_path / "scene", codec=CodecSettings("webp", half_features=True))
+    with pytest.raises(SnergError, match=r"H\.264 stores features at full resolution"):
+        CodecSettings("h264", half_features=True)
+    write_scene(make_snerg((20, 20, 20), diffuse=True), tmp_path / "scene", codec=CodecSettings("webp", half_features=True))
 
 
 @pytest.mark.hard_case(58)
@@ -264,6 +306,8 @@ def test_damaged_files_are_named(tmp_path, stored, name, file):
         lambda value: value.update(codec="png"),
         lambda value: value.update(codec={"name": "gif", "quality": 3}),
         lambda value: value.update(codec={"name": "jpeg", "quality": None}),
+        lambda value: value["codec"].update(half_features=1),
+        lambda value: value["codec"].update(half_features=True),
         lambda value: value.update(alternatives=5),
         lambda value: value.update(alternatives=[{"name": "gif", "quality": None}]),
         lambda value: value.update(atlas_blocks=[0, 1, 1]),
