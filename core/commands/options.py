@@ -90,7 +90,7 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
     parser.add_argument("--no-refine", dest="refine", action="store_false", help="do not fine-tune the view-dependence network")
 
 
-def add_codec_options(parser: argparse.ArgumentParser, default: str) -> None:
+def add_codec_options(parser: argparse._ActionsContainer, default: str) -> None:
     """Add --codec and --quality. default: of the codec, as the help shows it."""
     parser.add_argument(
         "--codec", choices=tuple(SUFFIXES), help=f"of the scene's images; png, webp and jxl are lossless (default: {default})"

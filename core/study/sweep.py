@@ -106,7 +106,7 @@ class Sweep:
             return None
         camera = self.subject.views.cameras[0]
         probe = self.probe(config.field)
-        return estimate(probe, self._box(probe.field), config.bake, config.refine, (camera.width, camera.height))
+        return estimate(probe, self._box(probe.field), config.bake, config.refine, (camera.width, camera.height), codec=config.codec)
 
     def _box(self, field: Field) -> Box:
         return self.subject.box if self.subject.box is not None else field.domain.world_box()

@@ -126,7 +126,7 @@ def test_features_at_half_the_resolution(tmp_path, name):
     assert codec_of(tmp_path / "half") == codec
     assert np.array_equal(half.cells[..., [0, 1, 2, 7]], whole.cells[..., [0, 1, 2, 7]])
     difference = np.abs(half.cells[..., 3:7].astype(int) - scene.cells[..., 3:7])
-    assert difference.mean() < 0.5 and (name not in LOSSLESS or difference.max() <= 4), "rounded once more; the sum of 8 errors of a half"
+    assert difference.mean() < 0.7 and (name not in LOSSLESS or difference.max() <= 6), "8 errors of a half, and half of a 64th"
     aprons = half.cells.copy()
     list(fill_aprons(aprons, half.indirection))
     assert name not in LOSSLESS or np.array_equal(aprons, half.cells)
