@@ -32,7 +32,8 @@ def halve_features(voxels: NDArray[Any]) -> NDArray[Any]:
         sums += groups[:, i, :, j, :, k]
     alpha = np.maximum(sums[..., 4:], 1)
     straight = np.minimum((255 * sums[..., :4] + alpha // 2) // alpha, 255)
-    return LEVELS[straight]
+    levels: NDArray[Any] = LEVELS[straight]
+    return levels
 
 
 def restore_features(straight: NDArray[Any], alpha: NDArray[Any]) -> NDArray[Any]:

@@ -105,7 +105,7 @@ def accuracy(found: Sequence[tuple[str, StudyRow, float, float]]) -> dict[str, t
 
 
 COLUMNS = (  # of study.csv; "knobs" are the parameters, a name that scripts read
-    *("key", "knobs", "psnr", "ssim", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
+    *("key", "knobs", "psnr", "ssim", "flip", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
     *("blocks", "samples", "views"),
 )
 SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "write", "read", "tables")

@@ -185,7 +185,7 @@ class Sweep:
         timed = {"ms": round(statistics.median(ms), 3), "ms_95": round(float(np.percentile(ms, 95)), 3)}
         psnr = 100.0 if result["psnr"] is None else result["psnr"]
         each = [100.0 if view["psnr"] is None else view["psnr"] for view in score.views()]
-        return {"psnr": psnr, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
+        return {"psnr": psnr, "ssim": result["ssim"], "flip": result.get("flip"), "psnr_of_views": each, "views": count, **timed}
 
     def _show(self, key: str, picture: NDArray[Any], truth: NDArray[Any]) -> None:
         """Write a row's picture [H, W, 3], and once the true image [H, W, 3]."""
@@ -306,7 +306,7 @@ def _checked_row(row: StudyRow) -> StudyRow:
     """The row. Raises ValueError, KeyError or TypeError on a row without what the report needs."""
     for name in ("psnr", "ms", "megabytes"):
         number(row[name], name)
-    for name in ("ssim", "trained_seconds", "peak_megabytes"):
+    for name in ("ssim", "flip", "trained_seconds", "peak_megabytes"):
         if row.get(name) is not None:
             number(row[name], name)
     for name in ("seconds", "predicted"):
