@@ -78,7 +78,7 @@ def installed_lpips() -> Callable[[NDArray[Any], NDArray[Any]], float] | None:
 
 
 def lpips_of(weights: Weights) -> Callable[[NDArray[Any], NDArray[Any]], float]:
-    """The function of `installed_lpips`, with these weights."""
+    """The function of `installed_lpips`, with these weights: of two images [H, W, 3] in [0, 1]."""
     import jax
     import jax.numpy as jnp
     from jax import lax
