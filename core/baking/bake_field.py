@@ -11,6 +11,7 @@ from ..data.dataset import Dataset
 from ..errors import needs_jax
 from ..geometry.box import Box
 from ..progress import Progress, silent, within
+from ..scene.half_features import with_half_features
 from ..scene.scene import Scene
 from ..training.provenance import background_of, trained
 from .bake import BakeSettings
@@ -26,10 +27,12 @@ def bake_field(
     dataset: Dataset | None,
     progress: Progress = silent,
     resume: Path | None = None,
+    half_features: bool = False,
 ) -> tuple[Scene, dict[str, float]]:
     """Bake a field inside a box, and fine-tune the scene's network if there is a dataset.
 
-    resume: see `bake`. Returns the scene and the seconds of each stage, {"bake"} or {"bake", "refine"}. Raises SnergError without JAX.
+    resume: see `bake`. half_features: the scene will be stored with features at half the resolution; the network is fine-tuned on what
+    is read back then. Returns the scene and the seconds of each stage, {"bake"} or {"bake", "refine"}. Raises SnergError without JAX.
     """
     with needs_jax():
         from .bake import bake
@@ -41,6 +44,8 @@ def bake_field(
     decided = {"decisions": field.about.get("decisions", [])}
     scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
+    if half_features and settings.quantise and scene.network is not None:
+        scene = replace(scene, cells=with_half_features(scene.cells))
     if dataset is not None:
         began = time.perf_counter()
         scene, _ = refine(scene, dataset, RefineSettings(background=background_of(known)), within(progress, share, 0.97))

@@ -54,7 +54,7 @@ def bake_scene(
     volume = Box.read(box) if box is not None else source.domain.world_box()
     dataset = images_to_refine_on(source) if refine and settings.network else None
     unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
-    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished)
+    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished, codec.half_features)
     write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
     discard(unfinished)
     about = snerg.about

@@ -11,6 +11,7 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,24 +50,26 @@ def write_bundle(
     source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
     The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
     holds coarse/, which the page shows as soon as somebody moves.
+    Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
-    check_showable(scene, codec)
+    check_showable(scene, codec, single_file)
     files = viewer_files()
+    alternatives = (replace(codec, name="webp"),) if codec.name == "jxl" else ()
     poster = poster_bytes(scene, cameras[0], page, _share(progress, 0.0, POSTER_SHARE, "Rendering the poster")) if cameras else None
     progress = _share(progress, POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
-        """Write cameras.json and scene/, which the page reads."""
+        """Write cameras.json, coarse/ and scene/, which the page reads."""
         coarse = not single_file and len(scene.cells) >= COARSE_FROM
         (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | ({"coarse": True} if coarse else {})))
         if coarse:
             (data / "coarse").mkdir()
-            write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name == "webp" else PNG)
-        if source is None:
+            write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
+        if source is None or alternatives:
             (data / "scene").mkdir()
-            write_scene_files(scene, data / "scene", progress, codec)
+            write_scene_files(scene, data / "scene", progress, codec, alternatives)
         else:
             one_generation(source, lambda: _copy_scene(source, data / "scene", codec))
 
@@ -114,12 +117,16 @@ def viewer_files() -> dict[str, str]:
         ) from error
 
 
-def check_showable(scene: Scene, codec: CodecSettings) -> None:
+def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False) -> None:
     """Raise SnergError when browsers cannot show the scene or decode the codec, or when the codec is not installed."""
     if not scene.quantised:
         raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")
     if codec.name == "h264":
         raise SnergError("Browsers decode no H.264 at full chroma, which features need; choose the codec avif for a page as small.")
+    if codec.name == "jxl" and single_file:
+        raise SnergError(
+            "Not all browsers decode JPEG XL, so a page of one file would hold every image twice: choose the codec webp, or no single file."
+        )
     codec.check()
 
 

@@ -1,5 +1,5 @@
-// Decodes images without alpha (WebP, JPEG, AVIF) by the browser's own decoders. Images with alpha are PNG (png.js): a canvas would
-// premultiply them.
+// Decodes images without alpha (WebP, JPEG XL, JPEG, AVIF) by the browser's own decoders. Images with alpha are PNG (png.ts): a canvas
+// would premultiply them.
 import { EXPORT_AGAIN, ViewerError } from "../errors";
 
 /**
@@ -25,6 +25,22 @@ export async function decodeOpaque(
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   return context.getImageData(0, 0, width, height).data;
+}
+
+// Images of one pixel of the colour PROBE_COLOUR, in formats that some browsers do not decode: base64.
+const PROBES: Readonly<Record<string, string>> = { jxl: "/woAEBAJCAABADQASxiLFcJBwuEBnAADAQ==" };
+const PROBE_COLOUR = [32, 80, 128];
+
+/** Whether this browser decodes a codec, exactly: asked of its decoder, since no list of formats is to be had. */
+export async function decodes(name: string): Promise<boolean> {
+  if (!(name in PROBES)) return true;
+  try {
+    const bytes = Uint8Array.from(atob(PROBES[name]), (character) => character.charCodeAt(0));
+    const pixel = await decodeOpaque(bytes, name, 1, 1, `image/${name}`);
+    return PROBE_COLOUR.every((value, i) => pixel[i] === value);
+  } catch {
+    return false;
+  }
 }
 
 /** A canvas of that size; its colours are tested, since browsers that resist fingerprinting return noise. */

@@ -2,11 +2,12 @@
 import { Matrix3, Matrix4, Vector3 } from "three";
 import { EXPORT_AGAIN, ViewerError } from "../errors";
 import { type FileSource, readJson } from "./files";
+import { decodes } from "./image";
 import { decodePng } from "./png";
 
 export const DATA_VOXELS = 30; // voxels of a macroblock along an axis
 export const CELL_VOXELS = 32; // the same with the apron of one voxel on each side, as stored in a cell of the atlas
-const CODECS = ["png", "webp", "jpeg", "avif"]; // that browsers decode
+const CODECS = ["png", "webp", "jxl", "jpeg", "avif"]; // that browsers decode, JPEG XL not all of them
 const NETWORK_SHAPES = { weights_0: [34, 16], bias_0: [16], weights_1: [16, 16], bias_1: [16], weights_2: [16, 3], bias_2: [3] };
 
 type Triple = [number, number, number];
@@ -28,6 +29,12 @@ export interface NdcFrame {
   near: number; // the near plane's distance, in units of the scene
 }
 
+/** How the images of a scene are stored. */
+export interface Codec {
+  name: "png" | "webp" | "jxl" | "jpeg" | "avif";
+  half_features?: boolean; // whether features have half the resolution
+}
+
 /** What scene.json holds, checked, and what the viewer derives from it. Lengths are in units of the scene. */
 export interface SceneDescription {
   voxel_size: number;
@@ -35,7 +42,8 @@ export interface SceneDescription {
   grid_to_world: number[][];
   view_rotation: number[][];
   near: number; // along each ray, where the scene begins
-  codec: { name: "png" | "webp" | "jpeg" | "avif" };
+  codec: Codec; // the first of the scene's that this browser decodes
+  alternatives?: Codec[]; // the images of each lie beside those of the others
   atlas_blocks: Triple; // cells of the atlas along x, y and z
   cells: number; // macroblocks that are not empty
   network_transmittance: number; // the network is evaluated where no more than this is left
@@ -76,10 +84,19 @@ export async function readScene(source: FileSource, name: string, signal?: Abort
   if (invalid) throw new ViewerError(`The file ${name} is damaged: "${invalid}" is missing or invalid. ${EXPORT_AGAIN}`);
   return {
     ...value,
+    codec: await decodableCodec(value, name),
     blocks: value.shape.map((voxels) => Math.ceil(voxels / DATA_VOXELS)) as Triple,
     gridToWorld: matrixOfRows(value.grid_to_world),
     networkFromWorld: new Matrix4().setFromMatrix3(new Matrix3().set(...(value.view_rotation.flat() as Parameters<Matrix3["set"]>))),
   };
+}
+
+/** The first of a scene's codecs that this browser decodes. */
+async function decodableCodec(scene: SceneDescription, name: string): Promise<Codec> {
+  for (const codec of [scene.codec, ...(scene.alternatives ?? [])]) {
+    if (await decodes(codec.name)) return codec;
+  }
+  throw new ViewerError(`This browser decodes no ${scene.codec.name}, and ${name} names no other codec. ${EXPORT_AGAIN}`);
 }
 
 /** The first key of scene.json whose value is missing or invalid, or undefined. */
@@ -91,7 +108,8 @@ function invalidKey(scene: SceneDescription): string | undefined {
     grid_to_world: isArray(scene.grid_to_world, [4, 4]),
     view_rotation: isArray(scene.view_rotation, [3, 3]),
     near: Number.isFinite(scene.near),
-    codec: CODECS.includes(scene.codec?.name),
+    codec: isCodecs([scene.codec]),
+    alternatives: scene.alternatives === undefined || isCodecs(scene.alternatives),
     atlas_blocks: isShape(scene.atlas_blocks),
     cells: Number.isSafeInteger(scene.cells) && scene.cells >= 0 && scene.cells <= bx * by * bz,
     network_transmittance: Number.isFinite(scene.network_transmittance),
@@ -100,6 +118,11 @@ function invalidKey(scene: SceneDescription): string | undefined {
     fill_holes: typeof scene.fill_holes === "boolean",
   };
   return Object.keys(valid).find((key) => !valid[key]);
+}
+
+function isCodecs(codecs: unknown): boolean {
+  const halves = [undefined, true, false];
+  return Array.isArray(codecs) && codecs.every((codec) => CODECS.includes(codec?.name) && halves.includes(codec.half_features));
 }
 
 function isNetwork(network: unknown): boolean {
