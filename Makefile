@@ -32,7 +32,7 @@ $(VENV)/.installed: requirements.txt pyproject.toml | python
 	$(PY) -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
 	touch $@
 
-node_modules/.installed: package.json package-lock.json
+node_modules/.installed: package.json package-lock.json viewer/package.json
 	@command -v npm >/dev/null || { echo "The web viewer is built with npm; install Node 20 or newer." >&2; exit 2; }
 	npm ci --no-audit --no-fund --loglevel=error
 	touch $@
@@ -80,16 +80,18 @@ test-blender: setup
 	BLENDER="$(BLENDER)" $(PY) -m pytest -m window -rs tests/window
 
 # mypy wants the root to be called snerg, whatever the clone is called.
-lint: $(VENV)/.installed
+lint: $(VENV)/.installed node_modules/.installed
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
 	mkdir -p build/types && ln -sfn ../.. build/types/snerg
 	MYPYPATH=build/types $(PY) -m mypy $(TYPED)
 	$(PY) -m pytest -q tests/test_arrows.py tests/test_docstrings.py
+	npm run --silent lint
 
-format: $(VENV)/.installed
+format: $(VENV)/.installed node_modules/.installed
 	$(PY) -m ruff check --fix .
 	$(PY) -m ruff format .
+	npm run --silent format -w viewer
 
 extension: setup
 	$(PY) tools/build_extension.py

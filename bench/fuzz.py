@@ -24,6 +24,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -194,7 +195,7 @@ def subjects() -> list[Subject]:
         Subject("survey", survey, read_field_probe, ("survey.npz",)),
         Subject("resume folder", kept, lambda f: list(ResumeCache(f, "key").read("stage")), ("*.npz",)),
     ]  # fmt: skip
-    for codec in ("png", "webp", "jpeg", "avif", "float"):
+    for codec in ("png", "webp", *(["jxl"] if find_spec("pillow_jxl") else []), "jpeg", "avif", "float"):
         files = ("s/scene.json",) if codec == "png" else ("s/*",)
         result.append(Subject(f"scene, {codec}", lambda f, codec=codec: scene(f, codec), shown, files))
     for kind, mode in (("png", "RGBA"), ("png", "P"), ("png", "1"), ("jpg", "RGB"), ("webp", "RGBA"), ("tiff", "RGB"), ("bmp", "RGB")):

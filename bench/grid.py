@@ -67,6 +67,7 @@ ABLATIONS = {
     "float": Ablation("not quantised", ("--float",)),
     "sample-network": Ablation("network at every sample", march=MarchSettings(per_sample_network=True)),
     "webp": Ablation("WebP, lossless", codec=CodecSettings("webp")),
+    "jxl": Ablation("JPEG XL, lossless", codec=CodecSettings("jxl")),
     "jpeg": Ablation("JPEG, quality 90", codec=CodecSettings("jpeg", 90)),
     "avif": Ablation("AVIF, quality 90", codec=CodecSettings("avif", 90)),
     "h264": Ablation("H.264, quality 70", codec=CodecSettings("h264", 70)),

@@ -58,7 +58,7 @@ WebGL2RenderingContext.prototype.drawArrays = function (...values) {
 AGAIN = """async () => {
   await window.snerg.settled();
   window.draws = [];
-  document.querySelector("[name=background]:not(:checked)").click();
+  document.querySelector("snerg-viewer").shadowRoot.querySelector("[name=background]:not(:checked)").click();
   await window.snerg.settled();
   return window.draws;
 }"""

@@ -127,7 +127,7 @@ def export_scene(
 ) -> Path:
     """Write a scene's atlas, indirection grid and network to a folder, whole or not at all, and return that.
 
-    published: in the PNG layout of the published viewer, in place of ours. codec: "png" or "webp" (lossless), "jpeg", "avif" or
+    published: in the PNG layout of the published viewer, in place of ours. codec: "png", "webp" or "jxl" (lossless), "jpeg", "avif" or
     "h264", with a quality of 1 to 100. Raises SnergError when the folder cannot be written or holds other files.
     """
     folder = Path(out)

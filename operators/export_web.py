@@ -47,4 +47,6 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
         arguments += ["--codec", settings.codec]
     if settings.codec in LOSSY:
         arguments += ["--quality", str(settings.quality)]
+    if settings.codec != "scene" and settings.half_features:
+        arguments.append("--half-features")
     return [*arguments, "--single-file"] if settings.single_file else arguments

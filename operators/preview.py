@@ -109,7 +109,7 @@ class PreviewTask(ThreadTask):
 
 def enlarged(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
     """Pixels [h, w, C] repeated to [height, width, C], so that a coarse pass fills the whole image."""
-    times = -(-height // pixels.shape[0])
+    times = max(-(-height // pixels.shape[0]), -(-width // pixels.shape[1]))
     return pixels.repeat(times, axis=0).repeat(times, axis=1)[:height, :width] if times > 1 else pixels
 
 

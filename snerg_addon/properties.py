@@ -304,6 +304,7 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
             ("scene", "As Baked", "The files of the baked scene, unchanged"),
             ("png", "PNG", "Lossless"),
             ("webp", "WebP", "Lossless, and smaller than PNG"),
+            ("jxl", "JPEG XL", "Lossless, and the smallest; browsers that do not know it load WebP. Needs the package pillow-jxl-plugin"),
             ("jpeg", "JPEG", "Small, lossy"),
             ("avif", "AVIF", "Smallest at the same quality, but slow to write"),
         ],
@@ -315,6 +316,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         default=CodecSettings.quality,
         min=1,
         max=100,
+    )
+    half_features: BoolProperty(
+        name="Half Features",
+        description="Store the features, which the view dependence is computed from, at half the resolution: about half of all bytes",
+        default=False,
     )
     single_file: BoolProperty(
         name="Single File",

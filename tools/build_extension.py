@@ -21,7 +21,8 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "extension"
-CODE = ("core", "operators", "snerg_addon", "viewer", "farm")
+CODE = ("core", "operators", "snerg_addon", "farm")
+PAGE = ("index.html", "page.css", "dist/viewer.js")  # of the web viewer: what an exported page is made of
 FILES = ("__init__.py", "py.typed", "launcher.py", "LICENSE", "README.md", "CHANGELOG.md")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "node_modules", ".*", "*.egg-info", "*.pyc")
 TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "optax", "absl-py", "pillow", "msgpack")  # Blender brings NumPy
@@ -100,6 +101,10 @@ def stage(folder: Path, manifest: str, wheels: Sequence[Path]) -> None:
         shutil.copy2(ROOT / name, folder / name)
     for name in CODE:
         shutil.copytree(ROOT / name, folder / name, ignore=LEFT_OUT)
+    for name in PAGE:
+        if (ROOT / "viewer" / name).exists():
+            (folder / "viewer" / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / "viewer" / name, folder / "viewer" / name)
     if wheels:
         (folder / "wheels").mkdir()
         for wheel in wheels:
@@ -166,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the zips")
     parser.add_argument("--blender", default="", help="a Blender to build and validate with, instead of the bpy module")
     options = parser.parse_args(arguments)
-    if not (ROOT / "viewer" / "dist").is_dir():
+    if not (ROOT / "viewer" / "dist" / "viewer.js").is_file():
         print("The web viewer is not built (run `make setup`): this extension will not export web pages.", file=sys.stderr)
     if options.no_wheels:
         print(build(None, "", options.out, options.blender))

@@ -171,7 +171,7 @@ def page(web: Path) -> Image.Image:
         shown.set_default_timeout(120_000)
         shown.goto(f"http://127.0.0.1:{server.server_port}/#camera={CAMERA}")
         shown.wait_for_timeout(PAGE_SECONDS * 1000)
-        shown.evaluate("document.getElementById('readout').style.visibility = 'hidden'")  # a software renderer's time says nothing
+        shown.locator("#readout").evaluate("shown => { shown.style.visibility = 'hidden'; }")  # a software renderer's time says nothing
         shown.screenshot(path=str(WORK / "page.png"))
         browser.close()
     server.shutdown()

@@ -27,6 +27,8 @@ NEEDED = (
     "operators/train.py",
     "snerg_addon/bridge.py",
     "viewer/dist/viewer.js",
+    "viewer/index.html",
+    "viewer/page.css",
 )
 MOST_MEGABYTES = 200  # of one zip; the six of version 0.1.0 have 101 to 152, of which JAX and SciPy are two thirds
 

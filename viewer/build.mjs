@@ -1,25 +1,36 @@
-// Bundles the viewer and the part of three.js that it uses into dist/viewer.js, which core/export/bundle.py copies.
+// Builds dist/: snerg-viewer.js, a module that leaves three.js to the page; and viewer.js, a script for exported pages
+// with the part of three.js that it uses, which core/export/bundle.py copies.
 import { readFile } from "node:fs/promises";
+import { createRequire } from "node:module";
+import { dirname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
 
-const here = new URL(".", import.meta.url);
-const three = new URL("../node_modules/three/", here);
-const { version } = JSON.parse(await readFile(new URL("package.json", three), "utf8"));
-const licence = await readFile(new URL("LICENSE", three), "utf8");
+const here = dirname(fileURLToPath(import.meta.url));
+const three = join(dirname(createRequire(import.meta.url).resolve("three")), "..");
+const { version } = JSON.parse(await readFile(join(three, "package.json"), "utf8"));
+const licence = await readFile(join(three, "LICENSE"), "utf8");
+const common = {
+  bundle: true,
+  target: ["chrome100", "firefox113", "safari16.4"],
+  loader: { ".glsl": "text", ".css": "text", ".html": "text" },
+  legalComments: "none", // the banner of viewer.js holds the whole licence of three.js
+  charset: "utf8",
+  logLevel: "warning",
+};
 
 await build({
-  entryPoints: [fileURLToPath(new URL("src/main.js", here))],
-  outfile: fileURLToPath(new URL("dist/viewer.js", here)),
-  bundle: true,
+  ...common,
+  entryPoints: [join(here, "src/page/main.ts")],
+  outfile: join(here, "dist/viewer.js"),
   minify: true,
   format: "iife", // a classic script: browsers load no modules from file://, where the page must show its message
-  target: ["chrome100", "firefox113", "safari16.4"],
-  loader: { ".glsl": "text" },
-  legalComments: "none", // the banner holds the whole licence of three.js
-  charset: "utf8",
-  banner: {
-    js: `/*! The SNeRG viewer, GPL-3.0-or-later. It contains three.js ${version}:\n\n${licence.trim()}\n*/`,
-  },
-  logLevel: "warning",
+  banner: { js: `/*! The SNeRG viewer, GPL-3.0-or-later. It contains three.js ${version}:\n\n${licence.trim()}\n*/` },
+});
+await build({
+  ...common,
+  entryPoints: [join(here, "src/index.ts")],
+  outfile: join(here, "dist/snerg-viewer.js"),
+  format: "esm",
+  external: ["three", "three/*"],
 });

@@ -11,6 +11,7 @@ from ..data.dataset import Dataset
 from ..errors import needs_jax
 from ..geometry.box import Box
 from ..progress import Progress, silent, within
+from ..scene.half_features import with_half_features
 from ..scene.scene import Scene
 from ..training.provenance import background_of, trained
 from .bake import BakeSettings
@@ -28,10 +29,12 @@ def bake_field(
     progress: Progress = silent,
     resume: Path | None = None,
     finishing: Finishing = DEFAULT_FINISHING,
+    half_features: bool = False,
 ) -> tuple[Scene, dict[str, float]]:
     """Bake a field inside a box, and finish the scene on the images of a dataset if there is one.
 
-    resume: see `bake`. Returns the scene and the seconds of each stage: "bake", and those of the finishing. Raises SnergError without JAX.
+    resume: see `bake`. half_features: the scene will be stored with features at half the resolution; the network is fine-tuned on what
+    is read back then. Returns the scene and the seconds of each stage: "bake", and those of the finishing. Raises SnergError without JAX.
     """
     with needs_jax():
         from .bake import bake
@@ -42,6 +45,8 @@ def bake_field(
     decided = {"decisions": field.about.get("decisions", [])}
     scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
+    if half_features and settings.quantise and scene.network is not None:
+        scene = replace(scene, cells=with_half_features(scene.cells))
     if dataset is not None:
         scene, finished = finish(scene, dataset, finishing, background_of(known), within(progress, share, 0.97))
         seconds |= finished

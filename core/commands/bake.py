@@ -58,7 +58,7 @@ def bake_scene(
     finishing = Finishing(refine and settings.network, fit, prune)
     dataset = training_images(source, finishing)
     unfinished = out.absolute().with_name(f".{out.absolute().name}.bake")
-    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished, finishing)
+    snerg, seconds = bake_field(source, volume, settings, dataset, progress, unfinished, finishing, codec.half_features)
     write_scene(snerg, out, within(progress, 0.97, 1.0), codec)
     discard(unfinished)
     about = snerg.about

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from ..artifact import Result, kind_of
 from ..data.camera_world import in_training_world
 from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
+from ..export.page import BACKGROUNDS, PLAIN, PageSettings
 from ..export.scene_files import codec_of, is_current
 from ..io.generation import one_generation
 from ..io.lock import writes_out
@@ -30,6 +32,7 @@ def bundle_scene(
     progress: Progress = silent,
     codec: CodecSettings | None = None,
     dataset: Path | None = None,
+    page: PageSettings = PLAIN,
 ) -> Result:
     """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
@@ -52,7 +55,7 @@ def bundle_scene(
     snerg, stored = one_generation(scene, opened)
     source = scene if stored is not None and codec in (None, stored) else None
     codec = codec or stored or PNG
-    written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source)
+    written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source, page=page)
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
 
 
@@ -63,13 +66,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
     parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
+    parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
+    parser.add_argument("--description", default="", metavar="TEXT", help="a sentence for search engines and shared links")
+    parser.add_argument("--address", default="", metavar="URL", help="where the page will be published; shared links then show its picture")
+    parser.add_argument("--background", choices=BACKGROUNDS, default="white")
+    pair: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MIN", "MAX")}
+    parser.add_argument("--orbit-distance", **pair, help="how near and far people may orbit, in units of the scene")
+    parser.add_argument("--orbit-elevation", **pair, help="how low and high people may orbit, in degrees above the horizon")
     add_codec_options(parser, "the scene's own")
 
 
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
+    distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
+    page = PageSettings(options.title, options.description, options.address, options.background, distance, elevation)
     codec = codec_settings(options)
-    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset)
+    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset, page)
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

@@ -12,11 +12,12 @@ from ..baking.finish import DEFAULT_FINISHING, Finishing
 from ..data.dataset import DatasetOptions
 from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
+from ..export.codecs import LOSSLESS, PNG, CodecSettings
 from ..geometry.box import Box
 from ..progress import Progress, silent
 from ..training.config import PRESETS, TrainSettings
 from .command import Command, table
-from .options import add_bake_options, artifact, count, positive
+from .options import add_bake_options, add_codec_options, artifact, codec_settings, count, positive
 from .options import path as path_argument
 from .train import settings_of
 
@@ -37,13 +38,16 @@ def estimate(
     options: DatasetOptions = DEFAULT_OPTIONS,
     probe: Path | None = None,
     progress: Progress = silent,
+    codec: CodecSettings = PNG,
 ) -> Result:
     """The estimated time and memory of training a dataset, or of baking, storing and previewing a field, on this machine (JAX).
 
     size: pixels of the preview (width, height). probe: a file that keeps the field probe; it is used again while the field and the
     machine are the same. Returns JSON values: of a dataset as `cost_model.training`, of a field as `Estimate.to_json`.
-    Raises SnergError when the path is neither, or the field cannot be baked.
+    codec: of the scene's images. Raises SnergError when the path is neither, the field cannot be baked, or the codec is lossy.
     """
+    if not codec.lossless:
+        raise SnergError(f"The size of a scene as {codec.text} is not estimated: it depends on the images; choose {', '.join(LOSSLESS)}.")
     kind = kind_of(path)
     if kind not in ("dataset", "field", "checkpoint"):
         raise SnergError(f"{path} is a {kind}, which is baked already; give a dataset or a field.")
@@ -55,7 +59,7 @@ def estimate(
         return {"kind": kind, "path": str(path), **cost_model.training(read_dataset(path, "train", options), training)}
     found = _field_probe(path, probe, progress)
     volume = Box.read(box) if box is not None else found.field.domain.world_box()
-    result = cost_model.estimate(found, volume, settings, finishing, size)
+    result = cost_model.estimate(found, volume, settings, finishing, size, codec=codec)
     return {"kind": kind, "path": str(path), "survey_seconds": round(found.seconds, 2), **result.to_json()}
 
 
@@ -81,6 +85,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", type=artifact, metavar="DATASET_OR_FIELD")
     baked = parser.add_argument_group("of a field", "What a bake, its files and a preview take.")
     add_bake_options(baked)
+    add_codec_options(baked, "png")
     baked.add_argument(
         "--probe", "--survey", type=path_argument, metavar="FILE", help="where the field probe is kept for the next estimate"
     )
@@ -97,8 +102,8 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     training = settings_of(options.preset, options.minutes, options.steps, 0, {})
     settings = BakeSettings(resolution=options.resolution, voxel_size=options.voxel_size, supersampling=options.samples)
     size = options.width, options.height
-    finishing = Finishing(options.refine, options.fit, options.prune)
-    return estimate(options.path, training, settings, options.box, finishing, size, probe=options.probe, progress=progress)
+    finishing, codec = Finishing(options.refine, options.fit, options.prune), codec_settings(options) or PNG
+    return estimate(options.path, training, settings, options.box, finishing, size, probe=options.probe, progress=progress, codec=codec)
 
 
 def text(result: Result) -> str:

@@ -144,8 +144,8 @@ def _unfinished(path: Path) -> Result:
 def _stored_info(path: Path) -> Result:
     snerg = read_scene(path)
     codec = codec_of(path)
-    quality = "" if codec.lossless else f", quality {codec.quality}"
-    return {"codec": codec.name + quality if snerg.quantised else "float", **_scene_info(snerg)}
+    more = ("" if codec.lossless else f", quality {codec.quality}") + (", half features" if codec.half_features else "")
+    return {"codec": codec.name + more if snerg.quantised else "float", **_scene_info(snerg)}
 
 
 def _scene_info(snerg: Scene) -> Result:

@@ -99,19 +99,28 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_codec_options(parser: argparse.ArgumentParser, default: str) -> None:
+def add_codec_options(parser: argparse._ActionsContainer, default: str) -> None:
     """Add --codec and --quality. default: of the codec, as the help shows it."""
-    parser.add_argument("--codec", choices=tuple(SUFFIXES), help=f"of the scene's images; png and webp are lossless (default: {default})")
+    parser.add_argument(
+        "--codec", choices=tuple(SUFFIXES), help=f"of the scene's images; png, webp and jxl are lossless (default: {default})"
+    )
     parser.add_argument("--quality", type=count, metavar="Q", help=f"of lossy codecs, 1 to 100 (default: {CodecSettings.quality})")
+    parser.add_argument(
+        "--half-features", action="store_true", help="store features at half the resolution, in a sixth of their bytes; needs --codec"
+    )
 
 
 def codec_settings(options: argparse.Namespace) -> CodecSettings | None:
-    """The codec of parsed options, None where none is given. Raises SnergError for a quality without a lossy codec."""
+    """The codec of parsed options, None where none is given. Raises SnergError for a quality without a lossy codec, and for half_features
+    without a codec."""
     if options.quality is not None and options.codec in (None, *LOSSLESS):
         raise SnergError("A quality needs a lossy codec; give --codec jpeg, avif or h264 with it.")
     if options.codec is None:
+        if options.half_features:
+            raise SnergError("--half-features needs a codec; give --codec webp with it, for instance.")
         return None
-    return CodecSettings(options.codec, CodecSettings.quality if options.quality is None else options.quality)
+    quality = CodecSettings.quality if options.quality is None else options.quality
+    return CodecSettings(options.codec, quality, options.half_features)
 
 
 def add_march_options(parser: argparse.ArgumentParser) -> None:

@@ -79,7 +79,7 @@ def _add_frames(videos: dict[str, VideoWriter], pixels: NDArray[Any], codec: Cod
 def atlas_file_names(codec: CodecSettings, blocks: tuple[int, int, int], channels: int) -> list[str]:
     """The names of the files that `write_atlas` writes for an atlas of `blocks` cells with that many channels."""
     names: list[str] = []
-    for kind in image_shapes((SLICE_PLANES, 1, channels), codec):
+    for kind in image_shapes((2 * SLICE_PLANES, 2, channels), codec):
         if codec.name == "h264" and kind != "alpha":
             names.append(f"{kind}.mp4")
         else:

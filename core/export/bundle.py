@@ -1,16 +1,17 @@
 """The web page of a baked scene: a folder for any static server, or one file that opens from the disk.
 
 The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`. Writing
-a page needs no npm, no network and no server-side code.
+a page needs no npm, no network and no server-side code. The page allows itself no script, style or request but its own.
 """
 
 from __future__ import annotations
 
 import base64
-import re
+import hashlib
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,17 @@ from ..io.files import MARK, new_folder
 from ..io.generation import one_generation
 from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent
+from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
+from .page import PLAIN, POSTER, PageSettings, data_address, page_html, poster_bytes
 from .scene_files import copy_scene_files, is_current, write_scene_files
 
 VIEWER = Path(__file__).parents[2] / "viewer"
-SCRIPT_TAG = re.compile(r'<script src="viewer.js".*?</script>', re.DOTALL)
+SCRIPT_TAG = '<script src="viewer.js"></script>'
+STYLE_TAG = '<link rel="stylesheet" href="page.css">'
+COARSE_FROM = 64  # cells from which on a page has the scene at a quarter of its resolution too, which it shows first
+POSTER_SHARE = 0.2  # of the time of an export
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -37,35 +43,60 @@ def write_bundle(
     progress: Progress = silent,
     codec: CodecSettings = PNG,
     source: Path | None = None,
+    page: PageSettings = PLAIN,
 ) -> dict[str, Any]:
-    """Write index.html, viewer.js, cameras.json and scene/ (see scene_files.write_scene_files), whole or not at all.
+    """Write index.html, page.css, viewer.js, cameras.json, a poster and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
     rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
+    holds coarse/, which the page shows as soon as somebody moves.
+    Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
-    check_showable(scene, codec)
-    page, script = viewer_files()
+    check_showable(scene, codec, single_file)
+    files = viewer_files()
+    alternatives = (replace(codec, name="webp"),) if codec.name == "jxl" else ()
+    cameras = [camera for camera in cameras if not camera.is_wide]
+    poster = poster_bytes(scene, cameras[0], page, _share(progress, 0.0, POSTER_SHARE, "Rendering the poster")) if cameras else None
+    progress = _share(progress, POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
-        """Write cameras.json and scene/, which the page reads."""
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras)))
-        if source is None:
+        """Write cameras.json, coarse/ and scene/, which the page reads."""
+        coarse = not single_file and len(scene.cells) >= COARSE_FROM
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | ({"coarse": True} if coarse else {})))
+        if coarse:
+            (data / "coarse").mkdir()
+            write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
+        if source is None or alternatives:
             (data / "scene").mkdir()
-            write_scene_files(scene, data / "scene", progress, codec)
+            write_scene_files(scene, data / "scene", progress, codec, alternatives)
         else:
             one_generation(source, lambda: _copy_scene(source, data / "scene", codec))
 
     with new_folder(folder) as temporary:
         if single_file:
-            write_single_file(page, script, temporary, write_data)
+            files["index.html"] = page_html(files["index.html"], page, data_address(poster) if poster else None)
+            write_single_file(files, temporary, write_data)
         else:
-            (temporary / "index.html").write_text(page, encoding="utf-8", newline="\n")
-            (temporary / "viewer.js").write_text(script, encoding="utf-8", newline="\n")
+            files["index.html"] = page_html(files["index.html"], page, POSTER if poster else None)
+            if poster:
+                (temporary / POSTER).write_bytes(poster)
+            for name, text in files.items():
+                (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
-        files = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
-        return {"files": len(files), "bytes": sum(path.stat().st_size for path in files)}
+        written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
+        return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
+
+
+def _share(progress: Progress, low: float, high: float, text: str = "") -> Progress:
+    """A `progress` for the part of the work from `low` to `high`. text: shown in place of its own."""
+
+    def report(fraction: float, what: str, /) -> None:
+        progress(low + fraction * (high - low), text or what)
+
+    return report
 
 
 def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
@@ -77,23 +108,27 @@ def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
         raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start the export again.")
 
 
-def viewer_files() -> tuple[str, str]:
-    """The text of index.html and of viewer.js. Raises SnergError when viewer.js is not built."""
-    script = VIEWER / "dist" / "viewer.js"
+def viewer_files() -> dict[str, str]:
+    """The texts of index.html, page.css and viewer.js, by their names. Raises SnergError when viewer.js is not built."""
+    paths = (VIEWER / "index.html", VIEWER / "page.css", VIEWER / "dist" / "viewer.js")
     try:
-        return (VIEWER / "index.html").read_text(encoding="utf-8"), script.read_text(encoding="utf-8")
+        return {path.name: path.read_text(encoding="utf-8") for path in paths}
     except OSError as error:
         raise SnergError(
             f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
         ) from error
 
 
-def check_showable(scene: Scene, codec: CodecSettings) -> None:
+def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False) -> None:
     """Raise SnergError when browsers cannot show the scene or decode the codec, or when the codec is not installed."""
     if not scene.quantised:
         raise SnergError("The scene is not quantised, and a web page holds 8 bits a value: bake it quantised.")
     if codec.name == "h264":
         raise SnergError("Browsers decode no H.264 at full chroma, which features need; choose the codec avif for a page as small.")
+    if codec.name == "jxl" and single_file:
+        raise SnergError(
+            "Not all browsers decode JPEG XL, so a page of one file would hold every image twice: choose the codec webp, or no single file."
+        )
     codec.check()
 
 
@@ -109,12 +144,17 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
     }
 
 
-def write_single_file(page: str, script: str, folder: Path, write_data: Callable[[Path], None]) -> None:
-    """Write index.html with the script and, as base64, every file that `write_data` writes into the folder it is given.
+def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callable[[Path], None]) -> None:
+    """Write index.html with everything inside: the script, the style and, as base64, every file that `write_data` writes into its folder.
 
-    The files are encoded one at a time, so that they are not all in memory. page, script: the text of index.html and viewer.js.
+    The files are encoded one at a time, so that they are not all in memory. files: of `viewer_files`.
     """
-    before, between, after = split_page(page)
+    # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
+    style, script = files["page.css"], files["viewer.js"].replace("</script", "<\\/script")
+    page = files["index.html"].replace(STYLE_TAG, f"<style>{style}</style>")
+    for kind, text in (("script-src", script), ("style-src", style)):  # a browser runs only the script with this hash
+        page = page.replace(f"{kind} 'self'", f"{kind} 'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
+    before, after = page.split(FILES_MARK)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
         write_data(data)
@@ -122,15 +162,7 @@ def write_single_file(page: str, script: str, folder: Path, write_data: Callable
             file.write(before)
             for tag in file_tags(data):
                 file.write(tag)
-            # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
-            file.write(between + "<script>" + script.replace("</script", "<\\/script") + "</script>" + after)
-
-
-def split_page(page: str) -> tuple[str, str, str]:
-    """index.html in three parts: up to where the files go, from there to the script's tag, and from behind that tag."""
-    before, between_and_after = page.split(FILES_MARK)
-    between, after = SCRIPT_TAG.split(between_and_after)
-    return before, between, after
+            file.write(after.replace(SCRIPT_TAG, f"<script>{script}</script>"))
 
 
 def file_tags(folder: Path) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Image files of the atlas: PNG, WebP, JPEG and AVIF."""
+"""Image files of the atlas: PNG, WebP, JPEG XL, JPEG and AVIF."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from PIL import Image
 from ..errors import SnergError
 from ..io.guard import check_file, why
 from ..io.images import MAX_BYTES, check_size, damaged, png_bytes
-from .codecs import CodecSettings, image_suffix
+from .codecs import CodecSettings, image_suffix, import_jxl
+from .jxl import MAX_HEADER_BYTES, jxl_size
 
 MODES = {1: "L", 3: "RGB", 4: "RGBA"}  # Pillow's, by the number of channels
 
@@ -22,8 +23,10 @@ def encode_image(kind: str, pixels: NDArray[Any], codec: CodecSettings) -> bytes
     """The bytes of an image file. pixels: uint8 [H, W] or [H, W, 3 or 4]; kind: as in `images_of_slice`."""
     if image_suffix(kind, codec) == "png":
         return png_bytes(pixels)
+    codec.check()  # it registers JPEG XL with Pillow
     options: dict[str, Any] = {
         "webp": {"format": "WEBP", "lossless": True, "quality": 50, "method": 3},
+        "jxl": {"format": "JXL", "lossless": True, "effort": 7, "num_threads": 0},
         "jpeg": {"format": "JPEG", "quality": codec.quality, "subsampling": 0, "optimize": True},
         "avif": {"format": "AVIF", "quality": codec.quality, "subsampling": "4:4:4", "speed": 8, "max_threads": 1},
     }[codec.name]
@@ -39,7 +42,12 @@ def read_image_file(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
     """
     mode = MODES[shape[2] if len(shape) == 3 else 1]
     check_present(path)
+    if path.suffix == ".jxl":
+        import_jxl()
     try:
+        if path.suffix == ".jxl":  # this decoder decodes all of an image before it tells its size
+            with path.open("rb") as file:
+                check_size(path, *jxl_size(file.read(MAX_HEADER_BYTES)))
         with Image.open(path, formats=["JPEG" if path.suffix == ".jpg" else path.suffix[1:].upper()]) as image:
             check_size(path, image.width, image.height)
             if (image.height, image.width) != shape[:2] or image.mode != mode:
@@ -52,7 +60,7 @@ def read_image_file(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
     except SnergError:
         raise
     except Exception as error:  # each decoder raises its own: RuntimeError (AVIF), SyntaxError (PNG), ...
-        raise damaged(path, why(error)) from error
+        raise damaged(path, "it cannot be decoded" if path.suffix == ".jxl" and isinstance(error, RuntimeError) else why(error)) from error
 
 
 def check_present(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from ..io.images import png_bytes
 from ..io.json_files import json_bytes
 from ..io.paths import check_own
 from ..io.schema import flag, number, pose, positive, record, rotation, whole
-from ..progress import Progress, silent
+from ..progress import Progress, silent, within
 from ..scene.blocks import CELL_VOXELS
 from ..scene.scene import Scene, blocks_of
 from .atlas import MAX_ATLAS_CELLS
@@ -30,6 +31,7 @@ from .scene_json import (
     FLOAT,
     MAX_VOXELS,
     VERSION,
+    alternatives_in,
     check_blocks,
     check_viewer_values,
     codec_in,
@@ -48,19 +50,23 @@ def write_scene(scene: Scene, folder: Path, progress: Progress = silent, codec: 
         write_scene_files(scene, temporary, progress, codec)
 
 
-def write_scene_files(scene: Scene, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG) -> None:
+def write_scene_files(
+    scene: Scene, folder: Path, progress: Progress = silent, codec: CodecSettings = PNG, alternatives: Sequence[CodecSettings] = ()
+) -> None:
     """Write the files of a scene into a folder that exists.
 
     scene.json holds the numbers, indirection.png the indirection grid (see `indirection_image`), and the files of atlas_files the
-    atlas. Raises SnergError as `write_scene` does.
+    atlas. alternatives: lossless codecs with which the atlas is written again, beside, for readers that do not know the first. Raises
+    SnergError as `write_scene` does.
     """
     check_storable(scene.quantised, codec)
-    (folder / "scene.json").write_bytes(json_bytes(scene_json(scene, codec)))
+    (folder / "scene.json").write_bytes(json_bytes(scene_json(scene, codec, alternatives)))
     (folder / "indirection.png").write_bytes(png_bytes(indirection_image(scene.indirection)))
     if not scene.quantised:
         np.save(folder / "cells.npy", scene.cells, allow_pickle=False)
     else:
-        write_atlas(scene, folder, codec, progress)
+        for index, stored in enumerate((codec, *alternatives)):
+            write_atlas(scene, folder, stored, within(progress, *(np.array([index, index + 1]) / (1 + len(alternatives)))))
 
 
 def check_storable(quantised: bool, codec: CodecSettings) -> None:
@@ -133,14 +139,30 @@ def _read_cells(folder: Path, value: dict[str, Any], channels: int) -> NDArray[A
     codec = codec_in(value)
     if codec is None:
         return read_float_cells(folder / "cells.npy", (count, *(CELL_VOXELS,) * 3, channels))
-    return read_atlas(folder, codec, (ax, ay, az), count, channels)
+    return read_atlas(folder, _readable(codec, alternatives_in(value)), (ax, ay, az), count, channels)
+
+
+def _readable(codec: CodecSettings, alternatives: Sequence[CodecSettings]) -> CodecSettings:
+    """The first codec that is installed here; `codec` when none is, which then says what to install."""
+    for one in (codec, *alternatives):
+        try:
+            one.check()
+            return one
+        except SnergError:
+            continue
+    return codec
 
 
 def codec_of(folder: Path) -> CodecSettings:
     """The codec of a scene folder; PNG, the default, when the scene is not quantised. Raises SnergError when it names none."""
+    return codecs_of(folder)[0]
+
+
+def codecs_of(folder: Path) -> list[CodecSettings]:
+    """The codec of a scene folder as `codec_of`, and those with which its images are stored once more. Raises SnergError as that does."""
     value = read_scene_json(folder)
     try:
-        return codec_in(value) or PNG
+        return [codec_in(value) or PNG, *alternatives_in(value)]
     except (KeyError, TypeError, ValueError) as error:
         raise SnergError(f"{folder / 'scene.json'} is damaged: it has no good codec; export or bake the scene again.") from error
 
@@ -161,7 +183,8 @@ def scene_files(folder: Path) -> list[Path]:
         names.append("cells.npy")
     else:
         ax, ay, az = (int(n) for n in value["atlas_blocks"])
-        names += atlas_file_names(codec_of(folder), (ax, ay, az), 4 if value["network"] is None else 8)
+        for codec in codecs_of(folder):
+            names += atlas_file_names(codec, (ax, ay, az), 4 if value["network"] is None else 8)
     files = [folder / name for name in names]
     for path in files:
         check_own(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,8 @@ MAX_BLOCKS = 2**23  # macroblocks of a grid: a cube of 6,000 voxels a side
 MAX_WEIGHT = 1e6  # absolute value of a network weight, so that its outputs stay finite; trained networks stay below 100
 
 
-def scene_json(scene: Scene, codec: CodecSettings = PNG) -> dict[str, Any]:
-    """The value of scene.json for a scene whose slices are stored with `codec`."""
+def scene_json(scene: Scene, codec: CodecSettings = PNG, alternatives: Sequence[CodecSettings] = ()) -> dict[str, Any]:
+    """The value of scene.json for a scene whose slices are stored with `codec`, and again with each of `alternatives`."""
     network = scene.network
     return {
         "format": FORMAT,
@@ -38,6 +39,7 @@ def scene_json(scene: Scene, codec: CodecSettings = PNG) -> dict[str, Any]:
         "view_rotation": np.asarray(scene.view_rotation).tolist(),
         "near": float(scene.near),
         "codec": codec.to_json() if scene.quantised else FLOAT,
+        **({"alternatives": [codec.to_json() for codec in alternatives]} if alternatives else {}),
         "cells": len(scene.cells),
         "atlas_blocks": list(atlas_blocks(len(scene.cells))),
         "ndc": None if scene.ndc is None else scene.ndc.to_json(),
@@ -71,6 +73,14 @@ def codec_in(value: dict[str, Any]) -> CodecSettings | None:
     if value["version"] in OLDER_VERSIONS:
         return PNG
     return None if value["codec"] == FLOAT else CodecSettings.from_json(value["codec"])
+
+
+def alternatives_in(value: dict[str, Any]) -> list[CodecSettings]:
+    """The codecs with which a scene's images are stored once more, for readers that do not know the first one.
+
+    Raises KeyError, TypeError, ValueError or SnergError when one is not valid.
+    """
+    return [CodecSettings.from_json(record(codec, "alternatives")) for codec in value.get("alternatives", [])]
 
 
 def check_viewer_values(value: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ picture equals that of a march which visits every sample (hard case 33). Packets
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -36,7 +37,8 @@ TILE = 8  # pixels along the side of a tile; its 64 rays are one packet
 PROGRESS_SECONDS = 0.03  # between two calls of `progress`
 PREVIEW_TOLERANCE = 0.5 / 255  # half a level of an 8-bit picture: the error cannot be seen
 PARALLEL_EPSILON = 1e-6  # smallest cosine to the view axis that is divided by
-FIRST_REDUCTION = 4  # factor by which the first picture of a progressive render is smaller along each side
+FIRST_REDUCTION = 4  # least factor by which the first picture of a progressive render is smaller along each side
+FIRST_PIXELS = 2**15  # most pixels of that picture: two cores march them in less than 0.1 s, whatever the size of the whole one
 
 
 @dataclass(frozen=True)
@@ -81,9 +83,13 @@ def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSe
 def render_progressively(
     scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent
 ) -> Iterator[Frame]:
-    """A frame of a quarter of the width and height, then the whole frame. `progress` as in `render_scene`, over both."""
-    small = camera.resized(-(-camera.width // FIRST_REDUCTION), -(-camera.height // FIRST_REDUCTION))
-    share = 1 / (1 + FIRST_REDUCTION**2)
+    """A frame of a quarter of the width and height, or of FIRST_PIXELS where that is fewer; then the whole frame.
+
+    `progress` as in `render_scene`, over both.
+    """
+    reduction = max(FIRST_REDUCTION, math.ceil(math.sqrt(camera.width * camera.height / FIRST_PIXELS)))
+    small = camera.resized(-(-camera.width // reduction), -(-camera.height // reduction))
+    share = 1 / (1 + reduction**2)
     yield render_scene(scene, small, settings, within(progress, 0, share))
     yield render_scene(scene, camera, settings, within(progress, share, 1))
 

@@ -22,6 +22,7 @@ from ..baking.prune import PRUNING_PIXELS
 from ..baking.ray_samples import FIT_PIXELS
 from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
+from ..export.codecs import PNG, CodecSettings
 from ..geometry.box import Box
 from ..nerf.field import Field
 from ..nerf.model import init_field
@@ -34,6 +35,9 @@ from .field_probe import FieldProbe, visibility_rays
 
 DEFAULT_BAKE = BakeSettings()
 PRIOR_POINTS = 8  # weight of the whole field's share, in points, against that of the points inside a box: matters for small boxes
+# Bytes of lossless codecs over those of PNG, of colours with alpha and of features: two scenes of 300 and 500 voxels.
+BYTES_OVER_PNG = {"png": (1.0, 1.0), "webp": (0.8, 0.94), "jxl": (0.72, 0.84)}
+HALF_OVER_WHOLE = 0.17  # bytes of features at half the resolution over those of PNG at the whole one, with any of these codecs
 DEFERRED_CHANNELS, DIFFUSE_CHANNELS = 8, 4  # bytes of a voxel: RGB, alpha, and 4 features where the field is view-dependent
 
 
@@ -42,8 +46,8 @@ class Estimate:
     """What a bake, its files and a preview take. The names are keys of what `snerg estimate --json` prints."""
 
     seconds: dict[str, float]  # of each stage of the bake
-    peak_megabytes: float  # of memory during the bake and its fine-tuning
-    megabytes: float  # of the scene stored as PNG
+    peak_megabytes: float  # of memory during the bake and its finishing
+    megabytes: float  # of the scene stored with a lossless codec
     preview: float  # seconds of a rendered picture
     tables: float  # seconds of building the acceleration structure, before the first picture
     looked: int  # voxels at which the bake evaluates the field
@@ -92,13 +96,15 @@ def estimate(
     finishing: Finishing = DEFAULT_FINISHING,
     size: tuple[int, int] = (800, 800),
     coefficients: Coefficients = DEFAULT_COEFFICIENTS,
+    codec: CodecSettings = PNG,
 ) -> Estimate:
     """The cost of a bake with `bake_field` and of a preview of `size` pixels, on this machine under the same load as during the probe.
 
     finishing: what is done after the bake; pruning takes time, but how many bytes it saves is not modelled. Files: a kept voxel takes as
-    many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay; a scene of floats is not compressed.
-    Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through the field uncovers
-    voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in normalised device coordinates.
+    many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay, and times `over_png`; a scene of floats
+    is not compressed. Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through
+    the field uncovers voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in normalised device
+    coordinates.
     """
     counts, rates, field = _count(probe, box, settings), probe.rates, probe.field
     atlas_bytes = counts.blocks * CELL_VOXELS**3 * counts.channels * (1 if settings.quantise else 4)
@@ -110,7 +116,7 @@ def estimate(
     return Estimate(
         seconds=seconds,
         peak_megabytes=_peak_bytes(probe, counts, atlas_bytes, seconds, coefficients) / 1e6,
-        megabytes=(png_bytes if settings.quantise else atlas_bytes) / 1e6,
+        megabytes=(png_bytes * over_png(codec, counts.channels) if settings.quantise else atlas_bytes) / 1e6,
         preview=rates.preview_view + coefficients.preview_factor * size[0] * size[1] * ray,
         tables=counts.blocks * rates.acceleration_block,
         looked=int(counts.queried),
@@ -119,6 +125,14 @@ def estimate(
         blocks=counts.blocks,
         samples=counts.samples,
     )
+
+
+def over_png(codec: CodecSettings, channels: int) -> float:
+    """Bytes of a scene stored with a codec over those with PNG; 1 for lossy codecs. channels: of a voxel; half of PNG's are features."""
+    colours, features = BYTES_OVER_PNG.get(codec.name, (1.0, 1.0))
+    if channels == DIFFUSE_CHANNELS:
+        return colours
+    return (colours + (HALF_OVER_WHOLE if codec.half_features else features)) / 2
 
 
 def _count(probe: FieldProbe, box: Box, settings: BakeSettings) -> _Counts:

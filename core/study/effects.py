@@ -57,7 +57,7 @@ COSTS = {  # of an effect, and of leaving it out, where they are not measured
         "All of it but one sample's share; fine detail is then aliased.",
     ),
     REFINE: ("A march of some pixels of every training view, and the fit of the network.", "Both."),
-    CODEC: ("Decibels, and time to write.", "Quality: PNG and WebP are lossless, and take more bytes."),
+    CODEC: ("Decibels, and time to write.", "Quality: PNG, WebP and JPEG XL are lossless, and take more bytes."),
     LENS: ("Undistorting each training ray.", "Nothing: rays would not match the images."),
     INTRINSICS: ("Nothing: each ray has the intrinsics of its camera.", "Nothing."),
 }
@@ -229,6 +229,9 @@ _CODEC = "The default codec is lossless; 'snerg eval' of a scene stored with eac
 
 
 def _codec(codec: CodecSettings | None) -> Decision:
+    if codec is not None and codec.half_features:
+        text = "Stored as {}, as was set: a feature for each 2 x 2 x 2 voxels."
+        return Decision(CODEC, codec.name, text.format(codec.text), 2.0, overridden=True)
     if codec is None or codec.lossless:
         return Decision(CODEC, False, f"The scene is stored {'without codec' if codec is None else 'as ' + codec.name.upper()}. {_CODEC}")
     return Decision(CODEC, codec.name, f"Stored at quality {codec.quality}, which was set.", float(codec.quality), overridden=True)

@@ -30,7 +30,7 @@ from ..rendering.render import MarchSettings, render_scene
 from ..scene.scene import Scene
 from ..training.provenance import background_of, options_of, trained
 from .contact_sheet import contact_sheet, error_picture
-from .metrics import mean_psnr, mse, pooled_psnr, psnr_of, ssim
+from .metrics import flip, mean_psnr, mse, pooled_psnr, psnr_of, ssim
 
 SHEET_VIEWS = 12  # views on the contact sheet, at most; each view has a file of its own
 SHEET_PIXELS = 480  # width of an image on the contact sheet, at most
@@ -177,6 +177,7 @@ class Score:
     def __init__(self) -> None:
         self.errors: list[float] = []
         self.likeness: list[float] = []
+        self.flips: list[float] = []  # empty where FLIP is not installed
         self.seconds: list[float] = []
         self.names: list[str] = []
 
@@ -186,11 +187,13 @@ class Score:
         """Add a rendered view [H, W, 3] and its true image [H, W, 3], in [0, 1]. mask: [H, W] bool, the pixels that count."""
         self.errors.append(mse(picture, truth, mask))
         self.likeness.append(ssim(picture, truth, mask))
+        if (difference := flip(picture, truth, mask)) is not None:
+            self.flips.append(difference)
         self.seconds.append(seconds)
         self.names.append(name)
 
     def result(self) -> Result:
-        """{"psnr", "psnr_pooled", "ssim", "seconds_per_view", "views"}.
+        """{"psnr", "psnr_pooled", "ssim", "seconds_per_view", "views"}, and "flip" where it is installed.
 
         psnr is the mean of the views' decibels, psnr_pooled that of the mean of their squared errors; both are None where they are
         infinite (hard case 30).
@@ -199,6 +202,7 @@ class Score:
             "psnr": _finite(mean_psnr(self.errors)),
             "psnr_pooled": _finite(pooled_psnr(self.errors)),
             "ssim": round(float(np.mean(self.likeness)), 5),
+            **({"flip": round(float(np.mean(self.flips)), 5)} if self.flips else {}),
             "seconds_per_view": round(float(np.mean(self.seconds)), 4),
             "views": len(self.errors),
         }

@@ -1,4 +1,4 @@
-"""Errors between two images: mean squared error, PSNR and SSIM."""
+"""Errors between two images: mean squared error, PSNR, SSIM and FLIP."""
 
 from __future__ import annotations
 
@@ -93,6 +93,24 @@ def ssim(a: NDArray[Any], b: NDArray[Any], mask: NDArray[Any] | None = None) -> 
     likeness = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
     likeness /= (mean_a**2 + mean_b**2 + c1) * (variance_a + variance_b + c2)
     return float(likeness[counted].mean() if counted is not None and counted.any() else likeness.mean())
+
+
+def flip(picture: NDArray[Any], truth: NDArray[Any], mask: NDArray[Any] | None = None) -> float | None:
+    """Mean FLIP error (Andersson et al. 2020) of an image [H, W, 3] in [0, 1]: 0 where it looks alike, at most 1.
+
+    As a viewer sees both in turn at 67 pixels a degree. mask: [H, W] bool, the pixels that count; the others are taken to be equal in both
+    images. None where the package flip-evaluator is not installed. Raises SnergError as `mse` does.
+    """
+    mse(picture, truth, mask)
+    try:
+        import flip_evaluator
+    except ImportError:
+        return None
+    if mask is not None:
+        picture = np.where(mask[..., None], picture, truth)
+    images = (np.ascontiguousarray(image, np.float32) for image in (truth, picture))
+    errors = np.asarray(flip_evaluator.evaluate(*images, "LDR", applyMagma=False)[0])[..., 0]
+    return float(errors.mean() if mask is None else errors[mask].mean())
 
 
 def blur(x: NDArray[Any]) -> NDArray[Any]:

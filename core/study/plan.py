@@ -203,7 +203,7 @@ def _variations(
         yield replace(baseline, field=name), TRAINING, name
     for config in reversed(coarse):
         for codec in stored[1:]:
-            yield replace(config, codec=codec), f"{RESOLUTION}, {codec_text(codec)}", f"{config.bake.resolution} voxels"
+            yield replace(config, codec=codec), f"{RESOLUTION}, {codec.text}", f"{config.bake.resolution} voxels"
         marched = replace(config, march=replace(config.march, tolerance=1e-2))
         yield marched, f"{RESOLUTION}, tolerance 0.01", f"{config.bake.resolution} voxels"
 
@@ -226,7 +226,7 @@ def _variations_of_storage(baseline: Configuration, stored: Sequence[CodecSettin
     """The lossless codecs, then the lossy ones with each quality."""
     for codec in stored:
         if codec.lossless:
-            yield replace(baseline, codec=codec), CODEC, codec_text(codec)
+            yield replace(baseline, codec=codec), CODEC, codec.text
     for codec in stored:
         if not codec.lossless:
             yield baseline, quality_of(codec), "lossless"
@@ -270,6 +270,7 @@ def _codecs(names: Sequence[str]) -> Iterator[CodecSettings]:
     for name in names:
         if CodecSettings(name).lossless:
             yield CodecSettings(name)
+            yield CodecSettings(name, half_features=True)
         else:
             yield from (CodecSettings(name, quality) for quality in (90, 70, 50))
 
@@ -282,11 +283,6 @@ def with_bake(config: Configuration, **changes: Any) -> Configuration:
 def quality_of(codec: CodecSettings) -> str:
     """The name of the parameter that is a lossy codec's quality."""
     return f"{codec.name.upper()} quality"
-
-
-def codec_text(codec: CodecSettings) -> str:
-    """A codec and its quality in words."""
-    return codec.name.upper() + ("" if codec.lossless else f" {codec.quality}")
 
 
 def available(names: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..baking.finish import FINISHING_STAGES
+from ..export.codecs import LOSSLESS
 from .pareto import StudyRow
 from .plan import RESOLUTION, STAGES, WATERFALL, PlanStep
 
@@ -95,10 +96,10 @@ def _bake_of(row: StudyRow) -> str:
 
 
 def _is_predicted(row: StudyRow, name: str) -> bool:
-    """Whether the cost model is for this number: bytes are of PNG or floats, milliseconds of a network that runs once a pixel."""
+    """Whether the cost model is for this number: bytes of lossless codecs or floats, milliseconds of a network that runs once a pixel."""
     config = row["config"]
     if name == "megabytes":
-        return config is not None and config["codec"]["name"] in ("png", "float")
+        return config is not None and config["codec"]["name"] in (*LOSSLESS, "float")
     return name != "ms" or (config is not None and not config["march"]["per_sample_network"])
 
 
@@ -112,11 +113,14 @@ def accuracy(found: Sequence[tuple[str, StudyRow, float, float]]) -> dict[str, t
 
 
 COLUMNS = (  # of study.csv; "knobs" are the parameters, a name that scripts read
-    *("key", "knobs", "psnr", "psnr_pooled", "ssim", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
+    *("key", "knobs", "psnr", "psnr_pooled", "ssim", "flip", "lpips", "ms", "ms_95", "megabytes", "peak_megabytes", "memory_megabytes"),
     *("blocks", "samples", "views"),
 )
 SECONDS = ("train", "occupancy", "visibility", "prefilter", "bake", "refine", "prune", "fit", "write", "read", "tables")
-TAIL = ("refine", "fit", "prune", "codec", "quality", "tolerance", "stop_transmittance", "per_sample_network", "page", "field")
+TAIL = (
+    *("refine", "fit", "prune", "codec", "quality", "half_features"),
+    *("tolerance", "stop_transmittance", "per_sample_network", "page", "field"),
+)
 
 
 def csv_of(rows: Sequence[StudyRow], plan: Sequence[PlanStep]) -> str:
@@ -135,7 +139,8 @@ def csv_of(rows: Sequence[StudyRow], plan: Sequence[PlanStep]) -> str:
         cells += [config.get("bake", {}).get(name) for name in settings]
         march, codec = config.get("march", {}), config.get("codec", {})
         cells += [config.get("refine"), config.get("fit", False), config.get("prune", 0.0)]
-        cells += [codec.get("name"), codec.get("quality"), march.get("tolerance"), march.get("stop_transmittance")]
+        cells += [codec.get("name"), codec.get("quality"), codec.get("half_features", False)]
+        cells += [march.get("tolerance"), march.get("stop_transmittance")]
         cells += [march.get("per_sample_network"), config.get("page"), config.get("field", row.get("field"))]
         writer.writerow(cells)
     return text.getvalue()

@@ -41,6 +41,7 @@ from ..scene.scene import Scene
 from .cost_model import Estimate, estimate
 from .evaluate import Score
 from .field_probe import FieldProbe, probe_field
+from .lpips import lpips
 from .machine import watched
 from .metrics import IDENTICAL
 from .pareto import StudyRow
@@ -108,7 +109,7 @@ class Sweep:
             return None
         camera = self.subject.views.cameras[0]
         probe = self.probe(config.field)
-        return estimate(probe, self._box(probe.field), config.bake, config.finishing, (camera.width, camera.height))
+        return estimate(probe, self._box(probe.field), config.bake, config.finishing, (camera.width, camera.height), codec=config.codec)
 
     def _box(self, field: Field) -> Box:
         return self.subject.box if self.subject.box is not None else field.domain.world_box()
@@ -172,6 +173,7 @@ class Sweep:
     def _measured(self, key: str, render: Any, page: bool, progress: Progress) -> StudyRow:
         """Quality on the views, and milliseconds a frame: the median and the 95th percentile over the views of medians over repeats."""
         views, score = self.subject.views, Score()
+        perceived: list[float] = []  # LPIPS of each view, where it is installed
         render(views.cameras[0].resized(32, 32))  # compiling, and what is computed once for a scene, is not part of a frame
         count, middle = len(views.views), len(views.views) // 2
         for index, (camera, truth) in enumerate(zip(views.cameras, self.truth, strict=True)):
@@ -179,6 +181,8 @@ class Sweep:
             picture = frame.over(self.subject.background)
             picture = to_uint8(picture).astype(np.float32) / 255 if page else picture
             score.add(picture, truth, seconds, views.mask(index), camera.name)
+            if (difference := lpips(picture, truth, views.mask(index))) is not None:
+                perceived.append(difference)
             if index == middle:
                 self._show(key, picture, truth)
             progress((index + 1) / count, f"View {index + 1} of {count}: {score.text()}")
@@ -187,7 +191,8 @@ class Sweep:
         timed = {"ms": round(statistics.median(ms), 3), "ms_95": round(float(np.percentile(ms, 95)), 3)}
         decibels = {name: IDENTICAL if result[name] is None else result[name] for name in ("psnr", "psnr_pooled")}
         each = [IDENTICAL if view["psnr"] is None else view["psnr"] for view in score.views()]
-        return {**decibels, "ssim": result["ssim"], "psnr_of_views": each, "views": count, **timed}
+        looks = {"flip": result.get("flip"), "lpips": round(float(np.mean(perceived)), 5) if perceived else None}
+        return {**decibels, "ssim": result["ssim"], **looks, "psnr_of_views": each, "views": count, **timed}
 
     def _show(self, key: str, picture: NDArray[Any], truth: NDArray[Any]) -> None:
         """Write a row's picture [H, W, 3], and once the true image [H, W, 3]."""
@@ -331,7 +336,7 @@ def _checked_row(row: StudyRow) -> StudyRow:
     """The row. Raises ValueError, KeyError or TypeError on a row without what the report needs."""
     for name in ("psnr", "ms", "megabytes"):
         number(row[name], name)
-    for name in ("ssim", "trained_seconds", "peak_megabytes"):
+    for name in ("ssim", "flip", "lpips", "trained_seconds", "peak_megabytes"):
         if row.get(name) is not None:
             number(row[name], name)
     for name in ("seconds", "predicted"):

@@ -28,6 +28,8 @@ class ExportStep(Step):
         column.prop(settings, "codec")
         if settings.codec in LOSSY:
             column.prop(settings, "quality")
+        if settings.codec != "scene":
+            column.prop(settings, "half_features")
         layout.prop(settings, "single_file")
         layout.operator("snerg.export_web", icon="URL")
         layout.operator("snerg.export_scene", icon="EXPORT")

@@ -83,6 +83,8 @@ def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
     assert started(monkeypatch, "export_web")[-2:] == ["--codec", "webp"]
     scene.snerg.codec, scene.snerg.quality = "avif", 70
     assert started(monkeypatch, "export_web")[-4:] == ["--codec", "avif", "--quality", "70"]
+    scene.snerg.codec, scene.snerg.half_features = "jxl", True
+    assert started(monkeypatch, "export_web")[-3:] == ["--codec", "jxl", "--half-features"]
     for name in ("bake", "export_web"):  # every option is one that there is
         assert parser().parse_args(started(monkeypatch, name)).command == name.replace("export_web", "bundle")
 

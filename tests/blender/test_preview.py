@@ -65,6 +65,7 @@ def test_a_small_picture_comes_first(baked):
     pixels = np.arange(12.0).reshape(2, 2, 3)
     assert np.array_equal(enlarged(pixels, 7, 8)[::4, ::4], pixels) and enlarged(pixels, 7, 8).shape == (8, 7, 3)
     assert enlarged(pixels, 2, 2) is pixels
+    assert enlarged(np.zeros((3, 17, 3)), 500, 61).shape == (61, 500, 3)  # the width grew by more than the height
 
 
 def test_stopping_and_failing_end_as_jobs_do(baked):

@@ -92,5 +92,10 @@ def opened(page: Page, address: str) -> str | None:
 def picture(page: Page) -> np.ndarray:
     """What the canvas shows, float64 [H, W, 3] in [0, 1]."""
     page.evaluate("window.snerg.settled()")
+    return picture_of(page)
+
+
+def picture_of(page: Page) -> np.ndarray:
+    """What the canvas shows now, as `picture` returns it."""
     data = page.locator("#canvas").screenshot()
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")) / 255

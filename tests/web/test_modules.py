@@ -17,13 +17,10 @@ ROOT = Path(__file__).parents[2]
 
 def node(script: str) -> Any:
     """The JSON that a module script in the viewer's folder prints."""
-    result = subprocess.run(
-        ["node", "--input-type=module", "-e", script],
-        cwd=ROOT / "viewer" / "src",
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    esbuild = [str(ROOT / "node_modules" / ".bin" / "esbuild"), "--bundle", "--format=esm", "--platform=node", "--loader:.glsl=text"]
+    source = ROOT / "viewer" / "src"
+    bundled = subprocess.run(esbuild, input=script, cwd=source, capture_output=True, text=True, check=True).stdout
+    result = subprocess.run(["node", "--input-type=module"], input=bundled, cwd=source, capture_output=True, text=True, check=True)
     return json.loads(result.stdout)
 
 
@@ -41,7 +38,7 @@ def test_png_is_decoded_exactly(tmp_path: Path) -> None:
         height, width, channels = pixels.shape
         shown = node(f"""
             import {{ readFileSync }} from "node:fs";
-            import {{ decodePng }} from "./png.js";
+            import {{ decodePng }} from "./data/png";
             const bytes = new Uint8Array(readFileSync({json.dumps(str(tmp_path / f"{name}.png"))}));
             console.log(JSON.stringify(Array.from(await decodePng(bytes, "it", {width}, {height}, {channels}))));
         """)
@@ -52,7 +49,7 @@ def test_png_is_decoded_exactly(tmp_path: Path) -> None:
 def test_layouts_stay_within_the_texture_limit() -> None:
     cases = [(0, 256, 5), (1, 256, 5), (512, 256, 5), (513, 256, 5), (2560, 256, 5), (1000, 2048, 5), (262144, 2048, 5), (7, 64, 7)]
     layouts = node(f"""
-        import {{ atlasLayout }} from "./atlas_layout.js";
+        import {{ atlasLayout }} from "./volume/atlas_layout";
         console.log(JSON.stringify({json.dumps(cases)}.map((c) => atlasLayout(...c))));
     """)
     for (cells, limit, most), layout in zip(cases, layouts, strict=True):
@@ -65,7 +62,7 @@ def test_layouts_stay_within_the_texture_limit() -> None:
 @pytest.mark.hard_case(55)
 def test_layouts_that_no_device_holds_are_refused() -> None:
     message = node("""
-        import { atlasLayout } from "./atlas_layout.js";
+        import { atlasLayout } from "./volume/atlas_layout";
         try { atlasLayout(2561, 256, 5); } catch (problem) { console.log(JSON.stringify(problem.message)); }
     """)
     assert "too large for this device" in message and "2561 blocks" in message
@@ -77,7 +74,7 @@ def test_distances() -> None:
     occupied = np.random.default_rng(0).random(shape[::-1]) < 0.03
     occupied[2, 1, 3] = True
     shown = node(f"""
-        import {{ chebyshevDistance }} from "./distance.js";
+        import {{ chebyshevDistance }} from "./volume/distance";
         console.log(JSON.stringify(Array.from(chebyshevDistance({occupied.ravel().astype(int).tolist()}, {list(shape)}))));
     """)
     points = np.argwhere(occupied)
@@ -105,7 +102,7 @@ def test_shader_templates_name_the_wrong_placeholder(values: dict[str, str], mes
 def fill(template: str, values: dict[str, str]) -> str:
     """What `fillTemplate` returns, or the message of the error that it throws."""
     return node(f"""
-        import {{ fillTemplate }} from "./template.js";
+        import {{ fillTemplate }} from "./volume/template";
         let result;
         try {{ result = fillTemplate({json.dumps(template)}, {json.dumps(values)}); }} catch (error) {{ result = error.message; }}
         console.log(JSON.stringify(result));
@@ -113,9 +110,9 @@ def fill(template: str, values: dict[str, str]) -> str:
 
 
 def test_the_shader_has_the_placeholders_that_are_filled() -> None:
-    """shader.js fills those of march.glsl and ndc.glsl; test_pictures.py compiles them for each kind of scene."""
-    source = ROOT / "viewer" / "src"
-    shader = (source / "shader.js").read_text(encoding="utf-8")
+    """shader.ts fills those of march.glsl and ndc.glsl; test_pictures.py compiles them for each kind of scene."""
+    source = ROOT / "viewer" / "src" / "volume"
+    shader = (source / "shader.ts").read_text(encoding="utf-8")
     for name in ("march", "ndc"):
         named = set(re.findall(r"\{\{(\w+)\}\}", (source / f"{name}.glsl").read_text(encoding="utf-8")))
         call = shader.split(f"fillTemplate({name}, {{")[1].split("});")[0]

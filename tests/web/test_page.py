@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page
 
 from scenes import make_cameras, make_snerg
@@ -17,9 +20,11 @@ from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
+from snerg.core.export.page import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
-from snerg.tests.web.conftest import opened, picture
+from snerg.core.scene.coarse import coarse_scene
+from snerg.tests.web.conftest import ROOT, opened, picture
 
 Serve = Callable[[Path], str]
 
@@ -54,7 +59,8 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
 
     page.get_by_role("combobox", name="Camera").select_option("Parallel")
     assert near(picture(page), truth(2))
-    assert page.url.endswith("#camera=Parallel")
+    page.wait_for_url("**#*camera=Parallel*")  # once the view stands still
+    assert parse_qs(urlsplit(page.url).fragment) == {"camera": ["Parallel"], "background": ["white"]}
     page.get_by_role("button", name="Next camera").click()
     assert near(picture(page), truth(3))
     page.locator("#canvas").press("1")
@@ -74,15 +80,191 @@ def test_cameras_backgrounds_and_orbit(page: Page, made: Path, serve: Serve) -> 
     assert np.abs(picture(page) - first).mean() > 1 / 255
 
 
+def test_the_page_says_what_it_shows(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """Titles are text, whatever they hold; the poster is the first camera's picture, there before any slice is."""
+    title, text = 'Stone "head" <b>&amp;</b>', "Photographed' in <i>Rome</i>"
+    settings = PageSettings(title, text, "https://example.org/head", background="black")
+    write_bundle(make_snerg(shape=(34, 30, 40)), make_cameras(), tmp_path / "web", page=settings)
+    page.route("**/scene/*.png", lambda route: None)  # never answered
+    page.goto(serve(tmp_path / "web"))
+    poster = page.locator("#poster")
+    poster.wait_for(state="visible")
+    assert page.title() == title
+    assert page.locator("meta[name=description]").get_attribute("content") == text
+    assert page.locator("meta[property='og:image']").get_attribute("content") == "https://example.org/head/poster.webp"
+    with Image.open(tmp_path / "web" / "poster.webp") as image:
+        shown = np.asarray(image.convert("RGB")) / 255
+    scene, camera = make_snerg(shape=(34, 30, 40)), make_cameras()[0]
+    assert np.abs(shown - render_scene(scene, camera).over((0.0, 0.0, 0.0))).mean() < 3 / 255
+    page.unroute_all()
+    assert opened(page, serve(tmp_path / "web")) is None and poster.is_hidden()
+
+
+def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """While the slices are on their way, the poster shows the first view, and the coarse scene every other one."""
+    scene = make_snerg(shape=(131, 122, 122))
+    write_bundle(scene, make_cameras(), tmp_path / "web")
+    page.route("**/scene/rgba_*.png", lambda route: None)  # not answered for now
+    page.goto(serve(tmp_path / "web") + "?width=160&height=120")
+    page.get_by_role("combobox", name="Camera").wait_for()
+    assert page.locator("#poster").is_visible() and page.get_by_role("status").is_visible()
+    page.get_by_role("combobox", name="Camera").select_option("Parallel")
+    shown, expected = picture(page), render_scene(coarse_scene(scene), make_cameras()[2]).over()
+    assert near(shown[:60], expected[:60]) and expected[:60].std() > 0.05  # the progress lies over the picture's foot
+    assert page.locator("#poster").is_hidden()
+    page.unroute("**/scene/rgba_*.png")  # lets what was held go on
+    assert page.evaluate("window.snerg.ready") and page.evaluate("window.snerg.problem") is None
+    assert near(picture(page), render_scene(scene, make_cameras()[2]).over())
+    assert page.get_by_role("status").is_hidden()
+
+
+def test_a_poster_lies_inside_a_single_file(page: Page, tmp_path: Path) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", single_file=True)
+    page.goto((tmp_path / "web" / "index.html").as_uri())
+    assert page.locator("#poster").evaluate("poster => poster.decode().then(() => poster.naturalWidth)") == make_cameras()[0].width
+
+
+def test_the_orbit_stays_within_its_limits(page: Page, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", page=PageSettings(elevation=(0, 30), distance=(2, 3)))
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    for key, turns, bounds in (("ArrowUp", 40, (0.4, 0.51)), ("ArrowDown", 40, (-0.01, 0.1))):
+        for _ in range(turns):
+            page.locator("#canvas").press(key)
+        backward = page.evaluate("document.querySelector('snerg-viewer').viewer.state.cameraToWorld.map((row) => row[2])")
+        assert bounds[0] < backward[2] < bounds[1]  # the sine of the elevation
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"background": "pink"}, "no background 'pink'"),
+        ({"address": "example.org"}, "begins with https://"),
+        ({"distance": (3.0, 2.0)}, "the smaller one first"),
+        ({"distance": (0.0, 2.0)}, "above 0"),
+        ({"elevation": (-91.0, 2.0)}, "from -90 to 90"),
+        ({"elevation": (float("nan"), 2.0)}, "from -90 to 90"),
+    ],
+)
+def test_page_settings_are_checked(settings: dict, words: str) -> None:
+    with pytest.raises(SnergError, match=words):
+        PageSettings(**settings)
+
+
+@pytest.mark.parametrize("camera", ["Front", "Parallel"])
+def test_a_view_is_shared(page: Page, browser: Browser, made: Path, serve: Serve, camera: str) -> None:
+    """A link to a view that somebody turned and zoomed to shows the same picture elsewhere, and what else it says stays."""
+    assert opened(page, serve(made) + f"?width=160&height=120&camera={camera}#from=letter") is None
+    page.locator("#canvas").press("ArrowLeft")
+    page.locator("#canvas").press("ArrowUp")
+    page.mouse.move(80, 60)
+    page.mouse.wheel(0, -300)
+    page.get_by_role("radio", name="Black background").check()
+    turned = picture(page)
+    page.wait_for_url("**&view=*")
+    assert "from=letter&" in page.url
+    page.get_by_role("button", name="Share").click()
+    link = page.get_by_role("textbox", name="Link").input_value()
+    assert link == page.url
+    embed = page.get_by_role("textbox", name="To put it into a page").input_value()
+    assert html.unescape(embed.split('src="')[1].split('"')[0]) == link
+    other = browser.new_page()
+    assert opened(other, link) is None
+    assert np.abs(picture(other) - turned).max() < 2 / 255
+    other.get_by_role("button", name="Reset view").click()
+    assert near(picture(other), render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0 if camera == "Front" else 2]).over((0, 0, 0)))
+    other.close()
+
+
+def test_keys_zoom(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120") is None
+    first = picture(page)
+    page.locator("#canvas").press("+")
+    assert np.abs(picture(page) - first).mean() > 1 / 255
+    page.locator("#canvas").press("-")
+    assert np.abs(picture(page) - first).mean() < 1 / 255
+
+
+def test_the_wheel_scrolls_the_page_around_a_frame(page: Page, made: Path, serve: Serve) -> None:
+    """It zooms with Ctrl alone, and a hint says so."""
+    (made / "around.html").write_text('<iframe src="index.html?width=160&height=120" width="300" height="200"></iframe>')
+    page.goto(serve(made) + "around.html")
+    (made / "around.html").unlink()
+    inside = page.frames[1]
+    inside.wait_for_load_state()
+    assert inside.evaluate("window.snerg.ready")
+    place = "JSON.stringify(document.querySelector('snerg-viewer').viewer.state.cameraToWorld)"
+    before = inside.evaluate(place)
+    page.mouse.move(60, 60)
+    page.mouse.wheel(0, -300)
+    inside.get_by_text("Hold Ctrl").wait_for(state="visible")
+    assert inside.evaluate(place) == before
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -300)
+    page.keyboard.up("Control")
+    for _ in range(30):
+        page.wait_for_timeout(100)
+        if inside.evaluate(place) != before:
+            return
+    pytest.fail("Ctrl and the wheel do not zoom")
+
+
+AXE = """axe.run(document, { resultTypes: ['violations'] })
+    .then((found) => found.violations.map((one) => [one.id, one.nodes.map((node) => node.html)]))"""
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_axe_finds_nothing(browser: Browser, made: Path, serve: Serve, width: int) -> None:
+    """The rules of axe-core for accessibility, on the page, and with each of its dialogs open."""
+    context = browser.new_context(viewport={"width": width, "height": 700}, bypass_csp=True)
+    page = context.new_page()
+    assert opened(page, serve(made)) is None
+    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
+    assert page.evaluate(AXE) == []
+    for opens, closes in (("Share", "Close"), ("Picture", "Close")):
+        page.get_by_role("button", name=opens).click()
+        assert page.evaluate(AXE) == []
+        page.get_by_role("button", name=closes).click()
+    context.close()
+
+
+@pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f,g", "0,0,0,0,0,0,0", "1e999,0,0,0,0,0,1", ""])
+def test_a_damaged_link_shows_the_camera(page: Page, made: Path, serve: Serve, view: str) -> None:
+    assert opened(page, serve(made) + f"?width=160&height=120#view={view}&zoom=-3&background=pink") is None
+    assert near(picture(page), truth(0))
+
+
+@pytest.mark.parametrize("alpha", [False, True])
+def test_a_picture_is_saved_at_any_size(page: Page, made: Path, serve: Serve, tmp_path: Path, alpha: bool) -> None:
+    assert opened(page, serve(made)) is None
+    page.get_by_role("button", name="Picture").click()
+    page.get_by_role("spinbutton", name="Width").fill("320")
+    page.get_by_role("spinbutton", name="Height").fill("240")
+    page.get_by_role("checkbox", name="Without the background").set_checked(alpha)
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save PNG").click()
+    download.value.save_as(tmp_path / "saved.png")
+    assert download.value.suggested_filename == "Front.png"
+    with Image.open(tmp_path / "saved.png") as image:
+        saved = np.asarray(image) / 255
+    expected = render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0].resized(320, 240))
+    assert saved.shape == (240, 320, 4)
+    assert np.abs(saved[..., 3] - (expected.alpha if alpha else 1)).mean() < 0.5 / 255
+    shown = saved[..., :3] * saved[..., 3:] + (1 - saved[..., 3:])
+    assert near(shown, expected.over())
+    assert page.locator("#readout").is_hidden()
+
+
 @pytest.mark.parametrize("word", ["constructor", "__proto__", "toString", "hasOwnProperty", "pink", ""])
 def test_the_address_may_hold_any_word(page: Page, made: Path, serve: Serve, word: str) -> None:
     """Names of properties that every JavaScript object has are no backgrounds, cameras or keys: the page shows the defaults."""
     assert opened(page, serve(made) + f"?width=80&height=60&background={word}&camera={word}&ui={word}") is None
     assert page.locator("[name=background][value=white]").is_checked()
-    page.evaluate(f"window.dispatchEvent(new KeyboardEvent('keydown', {{ key: {json.dumps(word)} }}))")
-    page.evaluate(
-        "document.querySelector('#canvas').dispatchEvent(new Event('keydown', { bubbles: true }))"
-    )  # as when the browser fills in a form
+    canvas = page.locator("#canvas")
+    for event in (
+        f"KeyboardEvent('keydown', {{ ...up, key: {json.dumps(word)} }})",
+        "Event('keydown', up)",
+    ):  # the second: a form is filled in
+        canvas.evaluate(f"canvas => {{ const up = {{ bubbles: true, composed: true }}; canvas.dispatchEvent(new {event}); }}")
     assert page.evaluate("window.snerg.problem") is None
 
 
@@ -118,7 +300,7 @@ def test_nothing_is_drawn_while_nothing_moves(page: Page, made: Path, serve: Ser
 def test_the_frame_fits_a_page_of_another_shape(page: Page, made: Path, serve: Serve) -> None:
     """A page twice as wide shows the camera's frame in its middle."""
     assert opened(page, serve(made) + "?camera=Front&width=320&height=120") is None
-    page.add_style_tag(content="#frame { display: none !important }")
+    page.locator("#frame").evaluate("frame => frame.remove()")
     assert near(picture(page)[:, 80:240], truth(0))
 
 
@@ -139,7 +321,7 @@ def test_a_missing_file_is_named(page: Page, copied: Path, serve: Serve, name: s
 def test_a_missing_viewer_is_named(page: Page, copied: Path, serve: Serve) -> None:
     (copied / "viewer.js").unlink()
     page.goto(serve(copied))
-    assert "viewer.js is missing" in page.get_by_role("alert").inner_text()
+    page.get_by_text("viewer.js is missing").wait_for(state="visible")
 
 
 def damage_scene(key: str, value: object) -> Callable[[bytes], bytes]:
@@ -218,9 +400,29 @@ def test_no_webgl(launch: Callable[..., Browser], made: Path, serve: Serve) -> N
     assert problem and "no WebGL 2" in problem
 
 
-def test_a_lost_context(page: Page, made: Path, serve: Serve) -> None:
-    assert opened(page, serve(made)) is None
-    page.evaluate("document.getElementById('canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()")
+LOSE = """async canvas => {
+    const lost = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
+    lost.loseContext();
+    await new Promise((resolve) => setTimeout(resolve, 100));
+    lost.restoreContext();
+}"""
+
+
+def test_a_lost_context_is_rebuilt(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120") is None
+    picture(page)
+    frames = page.evaluate("window.snerg.frames")
+    page.locator("#canvas").evaluate(LOSE)
+    while page.evaluate("window.snerg.frames") == frames:  # the page's security policy forbids wait_for_function
+        page.wait_for_timeout(100)
+    assert page.evaluate("window.snerg.problem") is None and near(picture(page), truth(0))
+
+
+def test_a_lost_context_of_a_single_file_says_so(page: Page, tmp_path: Path) -> None:
+    """Its files were taken out of the page to free memory."""
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.locator("#canvas").evaluate(LOSE)
     page.get_by_role("alert").wait_for()
     assert "graphics driver was reset" in page.get_by_role("alert").inner_text()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 from oracle import dense_march
 from scenes import (
@@ -173,6 +173,30 @@ def test_codecs(page: Page, tmp_path: Path, serve: Serve, name: str, diffuse: bo
         assert np.abs(shown - dense_march(scene, camera).over(BLACK)).mean() < 0.5 / 255
     else:
         assert (shown[render_scene(scene, camera).alpha == 0] == 0).all(), "no haze"
+
+
+@pytest.mark.parametrize("name", ["png", "webp", "avif"])
+def test_features_at_half_the_resolution(page: Page, tmp_path: Path, serve: Serve, name: str) -> None:
+    scene, codec = make_snerg(angles=TURNED, shape=(40, 45, 50)), CodecSettings(name, 90, half_features=True)
+    write_bundle(scene, make_cameras(), tmp_path / "web", codec=codec)
+    back = read_scene(tmp_path / "web" / "scene")
+    assert (back.cells[..., 3:7] != scene.cells[..., 3:7]).any()
+    compare(page, serve(tmp_path / "web"), back, make_cameras()[0], 0)
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["webp", "jxl"])
+def test_a_browser_loads_jpeg_xl_where_it_decodes_it(launch: Callable[..., Browser], tmp_path: Path, serve: Serve, known: bool) -> None:
+    """Chromium 147 decodes it behind a flag; without, the page loads WebP. Both are lossless."""
+    pytest.importorskip("pillow_jxl")
+    scene = make_snerg(angles=TURNED, shape=(40, 45, 50))
+    write_bundle(scene, make_cameras(), tmp_path / "web", codec=CodecSettings("jxl"))
+    browser = launch(*(["--enable-features=JXLImageFormat"] if known else []))
+    page = browser.new_page(viewport={"width": 500, "height": 400})
+    requests: list[str] = []
+    page.on("request", lambda request: requests.append(request.url.rpartition(".")[2]))
+    compare(page, serve(tmp_path / "web"), scene, make_cameras()[0], 0)
+    browser.close()
+    assert ("jxl" in requests, "webp" in requests) == (known, not known)
 
 
 @pytest.mark.hard_case(54)

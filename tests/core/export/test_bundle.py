@@ -43,6 +43,21 @@ def test_another_codec(tmp_path, stored):
     assert np.array_equal(read_scene(tmp_path / "web" / "scene").cells, read_scene(stored).cells)
 
 
+def test_a_page_with_jpeg_xl_holds_webp_too(tmp_path, stored):
+    pytest.importorskip("pillow_jxl")
+    bundle_scene(stored, tmp_path / "web", codec=CodecSettings("jxl"))
+    folder = tmp_path / "web" / "scene"
+    names = {path.name for path in scene_files(folder)}
+    assert names == {path.name for path in folder.iterdir()}
+    assert {"alpha_000.jxl", "rgb_000.jxl", "feature_000.jxl", "alpha_000.png", "rgb_000.webp", "feature_000.webp"} < names
+    assert json.loads((folder / "scene.json").read_text())["alternatives"] == [{"name": "webp", "quality": None}]
+    assert np.array_equal(read_scene(folder).cells, read_scene(stored).cells)
+    bundle_scene(folder, tmp_path / "again")  # its own codec
+    assert {path.name for path in (tmp_path / "again" / "scene").iterdir()} == names
+    with pytest.raises(SnergError, match="Not all browsers decode JPEG XL"):
+        bundle_scene(stored, tmp_path / "single", single_file=True, codec=CodecSettings("jxl"))
+
+
 def test_an_older_scene_is_converted(tmp_path):
     write_scene(make_snerg((34, 20, 20)), tmp_path / "scene")
     path = tmp_path / "scene" / "scene.json"

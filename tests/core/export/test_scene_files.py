@@ -13,11 +13,15 @@ from PIL import Image
 
 from scenes import empty_snerg, make_cameras, make_forward, make_snerg, snerg_from_volume
 from snerg.core.errors import SnergError
-from snerg.core.export.codecs import SUFFIXES, CodecSettings
+from snerg.core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
+from snerg.core.export.image_files import encode_image, read_image_file
+from snerg.core.export.jxl import MAX_HEADER_BYTES, jxl_size
 from snerg.core.export.reference import write_reference
-from snerg.core.export.scene_files import codec_of, read_scene, write_scene
+from snerg.core.export.scene_files import codec_of, read_scene, write_scene, write_scene_files
 from snerg.core.export.video_files import VideoWriter
 from snerg.core.rendering.render import render_scene
+from snerg.core.scene.blocks import block_coordinates, fill_aprons
+from snerg.core.scene.half_features import with_half_features
 from snerg.core.scene.scene import Scene
 
 
@@ -73,6 +77,8 @@ LOSSY = tuple(name for name in SUFFIXES if not CodecSettings(name).lossless)
 def needs(name: str) -> None:
     if name == "h264":
         pytest.importorskip("av")
+    if name == "jxl":
+        pytest.importorskip("pillow_jxl")
 
 
 @pytest.mark.parametrize("diffuse", [False, True])
@@ -87,7 +93,7 @@ def test_codecs(tmp_path, name, diffuse):
         write_scene(scene, folder, codec=CodecSettings(name, quality))
         back = read_scene(folder)
         assert np.array_equal(back.cells[..., -1], scene.cells[..., -1])
-        assert codec_of(folder) == CodecSettings(name) if name in ("png", "webp") else CodecSettings(name, quality)
+        assert codec_of(folder) == CodecSettings(name) if name not in LOSSY else CodecSettings(name, quality)
         full = scene.cells[..., -1] > 0
         assert quality == 60 or abs((back.cells[full].astype(int) - scene.cells[full]).mean()) < 0.25, "a bias would add up along rays"
         means.append(np.abs(back.cells.astype(int) - scene.cells).mean())
@@ -97,6 +103,46 @@ def test_codecs(tmp_path, name, diffuse):
         assert means[0] < 0.1 < means[1] < 1 and sizes[0] > 1.5 * sizes[1]
     else:
         assert same(back, scene) and sizes[0] == sizes[1]
+
+
+def alike_in_groups(scene: Scene) -> Scene:
+    """The scene with straight features that are the same in each 2 x 2 x 2 voxels of a cell."""
+    cells = scene.cells.copy()
+    places = np.indices(cells.shape[:4])[1:] // 2 + block_coordinates(scene.indirection).T.reshape(3, -1, 1, 1, 1) * 15
+    straight = np.stack([(37 * (k + 1) * places[0] + 11 * places[1] + 101 * places[2]) % 256 for k in range(4)], axis=-1)
+    cells[..., 3:7] = (straight * cells[..., 7:].astype(int) + 127) // 255
+    return replace(scene, cells=cells)
+
+
+@pytest.mark.parametrize("name", ["png", "webp", "jxl", "jpeg"])
+def test_features_at_half_the_resolution(tmp_path, name):
+    """Colours and alpha are as with the codec alone; features follow from a straight value a group, also across blocks' borders."""
+    needs(name)
+    scene = alike_in_groups(make_snerg((70, 40, 35)))
+    codec = CodecSettings(name, half_features=True)
+    for folder, one in (("half", codec), ("whole", CodecSettings(name))):
+        write_scene(scene, tmp_path / folder, codec=one)
+    half, whole = (read_scene(tmp_path / folder) for folder in ("half", "whole"))
+    assert codec_of(tmp_path / "half") == codec
+    assert np.array_equal(half.cells[..., [0, 1, 2, 7]], whole.cells[..., [0, 1, 2, 7]])
+    difference = np.abs(half.cells[..., 3:7].astype(int) - scene.cells[..., 3:7])
+    assert difference.mean() < 0.7 and (name not in LOSSLESS or difference.max() <= 6), "8 errors of a half, and half of a 64th"
+    aprons = half.cells.copy()
+    list(fill_aprons(aprons, half.indirection))
+    assert name not in LOSSLESS or np.array_equal(aprons, half.cells)
+    sizes = [sum(path.stat().st_size for path in (tmp_path / folder).glob("feature*")) for folder in ("half", "whole")]
+    assert np.array_equal(with_half_features(whole.cells), half.cells) == (name in LOSSLESS)
+    assert sizes[0] < 0.75 * sizes[1]
+
+
+def test_features_above_alpha_need_the_whole_resolution(tmp_path):
+    scene = make_snerg((20, 20, 20))
+    scene = replace(scene, cells=np.maximum(scene.cells, np.array([0] * 3 + [1] + [0] * 4, np.uint8)))
+    with pytest.raises(SnergError, match="features above their alpha"):
+        write_scene(scene, tmp_path / "scene", codec=CodecSettings("webp", half_features=True))
+    with pytest.raises(SnergError, match=r"H\.264 stores features at full resolution"):
+        CodecSettings("h264", half_features=True)
+    write_scene(make_snerg((20, 20, 20), diffuse=True), tmp_path / "scene", codec=CodecSettings("webp", half_features=True))
 
 
 @pytest.mark.hard_case(58)
@@ -129,6 +175,34 @@ def test_colours_above_alpha_need_a_lossless_codec(tmp_path, name):
     assert list(tmp_path.iterdir()) == []
     write_scene(scene, tmp_path / "scene", codec=CodecSettings("webp"))
     assert same(read_scene(tmp_path / "scene"), scene)
+
+
+def test_an_alternative_is_read_where_the_first_codec_is_not_installed(tmp_path, monkeypatch):
+    needs("jxl")
+    scene = make_snerg((20, 20, 20))
+    write_scene_files(scene, tmp_path, codec=CodecSettings("jxl"), alternatives=[CodecSettings("webp")])
+    monkeypatch.setitem(sys.modules, "pillow_jxl", None)
+    assert same(read_scene(tmp_path), scene) and codec_of(tmp_path) == CodecSettings("jxl")
+    write_scene_files(scene, tmp_path, codec=CodecSettings("webp"))
+    edit(tmp_path, lambda value: value.update(codec={"name": "jxl", "quality": None}))
+    with pytest.raises(SnergError, match="pip install pillow-jxl-plugin"):
+        read_scene(tmp_path)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (256, 32), (400, 300), (32, 2048), (160, 90), (160, 192), (7, 500), (70000, 1)])
+def test_the_size_of_a_jpeg_xl_is_read_from_its_header(size):
+    needs("jxl")
+    image = encode_image("alpha", np.zeros(size[::-1], np.uint8), CodecSettings("jxl"))
+    assert jxl_size(image[:MAX_HEADER_BYTES]) == size
+
+
+def test_a_jpeg_xl_that_says_it_is_huge_is_not_decoded(tmp_path):
+    """Its decoder allocates the whole image before it tells the size."""
+    needs("jxl")
+    bits = 3 << 1 | 2**29 << 3 | 1 << 33  # no multiple of 8; selector 3: 30 bits of height - 1; ratio 1: as wide as high
+    (tmp_path / "rgb_000.jxl").write_bytes(b"\xff\x0a" + bits.to_bytes(14, "little"))
+    with pytest.raises(SnergError, match=r"rgb_000\.jxl says that it is 536870913 x 536870913 pixels"):
+        read_image_file(tmp_path / "rgb_000.jxl", (32, 32, 3))
 
 
 @pytest.mark.hard_case(57)
@@ -192,7 +266,7 @@ def resized(path) -> None:
 def stored(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stored")
     for name in SUFFIXES:
-        if name != "h264" or find_spec("av"):
+        if find_spec({"h264": "av", "jxl": "pillow_jxl"}.get(name, "PIL")):
             write_scene(make_snerg((20, 20, 20)), folder / name, codec=CodecSettings(name, 60))
     write_scene(in_floats(make_snerg((20, 20, 20))), folder / "float")
     return folder
@@ -201,6 +275,7 @@ def stored(tmp_path_factory):
 FILES = {
     "png": ("rgba_002.png", "feature_001.png"),
     "webp": ("alpha_002.png", "rgb_000.webp", "feature_001.webp"),
+    "jxl": ("alpha_002.jxl", "rgb_000.jxl", "feature_001.jxl"),
     "jpeg": ("alpha_002.png", "rgb_000.jpg", "feature_001.jpg"),
     "avif": ("alpha_002.png", "rgb_000.avif", "feature_001.avif"),
     "h264": ("alpha_002.png", "rgb.mp4", "feature.mp4"),
@@ -231,6 +306,10 @@ def test_damaged_files_are_named(tmp_path, stored, name, file):
         lambda value: value.update(codec="png"),
         lambda value: value.update(codec={"name": "gif", "quality": 3}),
         lambda value: value.update(codec={"name": "jpeg", "quality": None}),
+        lambda value: value["codec"].update(half_features=1),
+        lambda value: value["codec"].update(half_features=True),
+        lambda value: value.update(alternatives=5),
+        lambda value: value.update(alternatives=[{"name": "gif", "quality": None}]),
         lambda value: value.update(atlas_blocks=[0, 1, 1]),
         lambda value: value.update(atlas_blocks=[1, 1, 10**9]),
         lambda value: value.update(cells=-1),

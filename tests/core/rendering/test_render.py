@@ -26,7 +26,7 @@ from snerg.core.nerf.model import ViewNetwork, view_residual
 from snerg.core.rendering.acceleration import acceleration_of, chebyshev_distance
 from snerg.core.rendering.early_termination import premultiplied_excess, residual_bound, stop_transmittance_for
 from snerg.core.rendering.opacity import correct_opacity
-from snerg.core.rendering.render import MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
+from snerg.core.rendering.render import FIRST_PIXELS, MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
 from snerg.core.scene.scene import Scene
 
 ANGLES = (0.4, -0.3, 0.8)
@@ -322,6 +322,13 @@ def test_the_first_picture_is_a_small_one_and_the_last_is_whole():
     assert first.alpha.shape == (10, 13) and np.array_equal(first.colour, render_scene(scene, camera.resized(13, 10)).colour)
     assert np.array_equal(last.colour, render_scene(scene, camera).colour) and np.array_equal(last.depth, render_scene(scene, camera).depth)
     assert told == sorted(told) and told[-1] == pytest.approx(1)
+
+
+@pytest.mark.parametrize(("size", "first"), [((4000, 3000), (200, 150)), ((20000, 600), (1000, 30))])
+def test_the_first_picture_of_a_large_one_has_few_pixels(size, first):
+    scene, camera = make_snerg((34, 30, 40), diffuse=True), small_cameras((0, 0, 0))[0].resized(*size)
+    shape = next(render_progressively(scene, camera)).alpha.shape
+    assert shape == first[::-1] and shape[0] * shape[1] <= FIRST_PIXELS
 
 
 def test_a_march_stops_when_it_is_told_to():

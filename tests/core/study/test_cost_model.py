@@ -17,6 +17,7 @@ from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.baking.finish import Finishing
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import SnergError
+from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -133,6 +134,18 @@ def test_finishing_is_estimated_where_there_are_images(probed):
     assert not estimate(probed, BOX, finishing=Finishing(fit=True)).finishing
 
 
+def test_a_codec_changes_the_bytes_alone(probed):
+    from snerg.core.study.cost_model import estimate
+
+    codecs = [CodecSettings(name, half_features=half) for name in ("png", "webp", "jxl") for half in (False, True)]
+    found = [estimate(probed, BOX, codec=codec) for codec in codecs]
+    png, png_half, webp, webp_half, jxl, jxl_half = (one.megabytes for one in found)
+    assert jxl_half < webp_half < png_half < jxl < webp < png
+    assert {(one.preview, one.peak_megabytes, one.bake) for one in found} == {(found[0].preview, found[0].peak_megabytes, found[0].bake)}
+    diffuse = BakeSettings(network=False)
+    assert estimate(probed, BOX, diffuse, codec=codecs[3]).megabytes == estimate(probed, BOX, diffuse, codec=codecs[2]).megabytes
+
+
 def test_it_can_be_asked_while_a_box_is_dragged(probed):
     from snerg.core.study.cost_model import estimate
 
@@ -218,6 +231,8 @@ def test_the_command(dataset, tmp_path, capsys):
     write_scene(make_snerg((31, 30, 33), diffuse=True), tmp_path / "scene")
     assert cli.main(["estimate", str(tmp_path / "scene")]) == 2
     assert "baked already" in capsys.readouterr().err
+    assert cli.main(["estimate", str(dataset), "--codec", "jpeg"]) == 2
+    assert "JPEG 90 is not estimated" in capsys.readouterr().err
 
 
 def test_coefficients_are_found_again_from_what_they_estimate(probed, monkeypatch):

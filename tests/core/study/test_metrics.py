@@ -1,12 +1,14 @@
 """PSNR and SSIM, against their definitions and scikit-image."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
 
 from snerg.core.errors import SnergError
-from snerg.core.study.metrics import IDENTICAL, mean_psnr, mse, pooled_psnr, psnr, ssim
+from snerg.core.study.evaluate import Score
+from snerg.core.study.metrics import IDENTICAL, flip, mean_psnr, mse, pooled_psnr, psnr, ssim
 
 
 def pictures(seed: int, size=(40, 57, 3)) -> tuple[np.ndarray, np.ndarray]:
@@ -68,3 +70,26 @@ def test_what_cannot_be_compared():
         mean_psnr([])
     with pytest.raises(SnergError, match="no views"):
         pooled_psnr([])
+
+
+def test_flip_grows_with_the_difference_and_masked_pixels_do_not_count():
+    pytest.importorskip("flip_evaluator")
+    draw = np.random.default_rng(5)
+    truth = draw.random((40, 50, 3))
+    noise = draw.normal(size=truth.shape)
+    faint, strong = (np.clip(truth + scale * noise, 0, 1) for scale in (0.02, 0.2))
+    assert flip(truth, truth) == 0 < flip(faint, truth) < flip(strong, truth) < 1
+    assert flip(np.zeros_like(truth), np.ones_like(truth)) == pytest.approx(0.968, abs=2e-3)
+    mask = np.ones((40, 50), bool)
+    mask[:, 25:] = False
+    halved = np.where(mask[..., None], truth, strong)
+    assert flip(halved, truth, mask) == 0 < flip(halved, truth) < flip(strong, truth)
+
+
+def test_flip_is_left_out_where_it_is_not_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    picture = np.random.default_rng(6).random((20, 20, 3))
+    assert flip(picture, picture) is None
+    score = Score()
+    score.add(picture, picture)
+    assert "flip" not in score.result() and score.result()["ssim"] == 1

@@ -1,8 +1,8 @@
 // Decodes PNG exactly. A canvas or an <img> may premultiply by alpha, convert colours, or add noise against fingerprinting; colours
 // and features under a low alpha would be lost.
-import { EXPORT_AGAIN, ViewerError } from "./errors.js";
+import { EXPORT_AGAIN, ViewerError } from "../errors";
 
-const COLOUR_TYPES = { 1: 0, 3: 2, 4: 6 };
+const COLOUR_TYPES: Readonly<Record<number, number>> = { 1: 0, 3: 2, 4: 6 };
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 
 /**
@@ -10,12 +10,12 @@ const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
  *
  * Throws a ViewerError that names the file where it is damaged or another image.
  */
-export async function decodePng(bytes, name, width, height, channels) {
-  const damaged = (why) => new ViewerError(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
+export async function decodePng(bytes: Uint8Array, name: string, width: number, height: number, channels: number): Promise<Uint8Array> {
+  const damaged = (why: string) => new ViewerError(`The file ${name} is damaged: ${why}. ${EXPORT_AGAIN}`);
   if (SIGNATURE.some((value, i) => bytes[i] !== value)) throw damaged("it is not a PNG");
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  const parts = [];
-  let header = null;
+  const parts: Uint8Array[] = [];
+  let header: number[] | null = null;
   for (let offset = 8; offset + 12 <= bytes.length; ) {
     const length = view.getUint32(offset);
     const type = String.fromCharCode(...bytes.subarray(offset + 4, offset + 8));
@@ -26,7 +26,7 @@ export async function decodePng(bytes, name, width, height, channels) {
     offset += 12 + length;
   }
   const expected = [width, height, 8, COLOUR_TYPES[channels], 0, 0, 0];
-  if (!header || expected.some((value, i) => header[i] !== value)) {
+  if (expected.some((value, i) => header?.[i] !== value)) {
     throw damaged(`it is not the image of ${width} x ${height} pixels and ${channels} channels that belongs here`);
   }
   const raw = await inflate(parts).catch(() => {
@@ -38,8 +38,8 @@ export async function decodePng(bytes, name, width, height, channels) {
   return raw.subarray(0, height * stride);
 }
 
-async function inflate(parts) {
-  const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
+async function inflate(parts: Uint8Array[]): Promise<Uint8Array> {
+  const stream = new Blob(parts as BlobPart[]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
@@ -47,7 +47,7 @@ async function inflate(parts) {
  * Undo the PNG filters in place, and remove the byte in front of each row that names its filter: every value is written before the
  * position it is read from. Returns false where a row has an unknown filter.
  */
-function unfilter(raw, height, stride, channels) {
+function unfilter(raw: Uint8Array, height: number, stride: number, channels: number): boolean {
   for (let row = 0; row < height; row++) {
     const from = row * (stride + 1) + 1;
     const to = row * stride;
@@ -77,7 +77,7 @@ function unfilter(raw, height, stride, channels) {
   return true;
 }
 
-function paeth(left, up, corner) {
+function paeth(left: number, up: number, corner: number): number {
   const a = Math.abs(up - corner);
   const b = Math.abs(left - corner);
   const c = Math.abs(left + up - 2 * corner);

@@ -23,3 +23,10 @@ void toGrid(inout vec3 origin, inout vec3 direction, inout float near, inout flo
   near = 0.0;
   if (far < 1e8) far = length(GRID_FROM_NDC * (end - point)); // else there is no far plane, and the ray ends where it leaves the grid
 }
+
+// A point of the grid, in voxels, in ray space.
+vec3 fromGrid(vec3 point) {
+  vec3 ndc = inverse(GRID_FROM_NDC) * point + NDC_CORNER;
+  float z = 2.0 / (ndc.z - 1.0);
+  return vec3(-ndc.xy * z / NDC_FOCAL, z);
+}

@@ -9,6 +9,7 @@ precision highp isampler3D;
 #define VIEW_DEPENDENCE {{VIEW_DEPENDENCE}}
 #define OPACITY_CORRECTION {{OPACITY_CORRECTION}}
 #define FORWARD_FACING {{FORWARD_FACING}}
+#define SCENE_DEPTH {{SCENE_DEPTH}}
 
 const float DATA_VOXELS = {{DATA_VOXELS}}; // voxels of a macroblock along an axis
 const float CELL_VOXELS = {{CELL_VOXELS}}; // the same with the apron, as stored in the atlas
@@ -19,7 +20,7 @@ const float STEP_EPSILON = 1e-3; // steps by which rounding may misplace an exit
 // Rays are given in "ray space": the grid in voxels; in a forward-facing scene the frame in units of its near plane's distance.
 uniform vec2 focal;               // pixels of this image; of an orthographic camera, pixels a unit
 uniform vec2 principalPoint;      // pixels from the top left corner
-uniform float imageHeight;        // pixels
+uniform vec3 viewport;            // pixels: left, bottom and height
 uniform bool orthographic;
 uniform vec3 cameraPosition;      // ray space
 uniform mat3 raySpaceFromCamera;  // a rotation
@@ -28,14 +29,31 @@ uniform float nearDistance;       // ray space, along the ray, where the scene b
 uniform vec2 clipPlanes;          // ray space, along the view axis: nearest and farthest that is seen
 uniform vec3 gridShape;           // voxels
 uniform ivec3 gridBlocks;         // macroblocks
-uniform vec3 background;
+uniform bool linearOutput;        // whether the image holds linear colours in place of sRGB
 uniform isampler3D indirection;
+#if SCENE_DEPTH
+// What is drawn already. A depth in ray space, along the view axis, is to and from the depth buffer as depthTerms say: of a perspective
+// camera x / depth - y, of an orthographic one x - y * depth, and then * z + w.
+uniform highp sampler2D sceneDepth;
+uniform vec4 depthTerms;
+#endif
 
 out vec4 colour;
 
 {{ATLAS_LOOKUPS}}
 {{NETWORK}}
 {{NDC}}
+#if SCENE_DEPTH
+float bufferFromView(float depth) {
+  return (orthographic ? depthTerms.x - depthTerms.y * depth : depthTerms.x / depth - depthTerms.y) * depthTerms.z + depthTerms.w;
+}
+
+float viewFromBuffer(float value) {
+  float ndc = (value - depthTerms.w) / depthTerms.z;
+  return orthographic ? (depthTerms.x - ndc) / depthTerms.y : depthTerms.x / (ndc + depthTerms.y);
+}
+#endif
+
 // Distance from `origin`, which lies in the box from `low` to `high`, along the ray to where it leaves the box.
 float exitDistance(vec3 origin, vec3 inverseDirection, vec3 low, vec3 high) {
   vec3 far = (mix(low, high, greaterThan(inverseDirection, vec3(0.0))) - origin) * inverseDirection;
@@ -47,14 +65,24 @@ int firstSampleFrom(float distance) {
   return int(ceil(min(distance, 1e7) - 0.5 - STEP_EPSILON));
 }
 
+// sRGB to linear (IEC 61966-2-1).
+vec3 linear(vec3 srgb) {
+  return mix(srgb / 12.92, pow((srgb + 0.055) / 1.055, vec3(2.4)), greaterThan(srgb, vec3(0.04045)));
+}
+
 void main() {
-  vec2 pixel = vec2(gl_FragCoord.x, imageHeight - gl_FragCoord.y);
+  vec2 pixel = vec2(gl_FragCoord.x - viewport.x, viewport.z + viewport.y - gl_FragCoord.y);
   vec2 imagePlane = vec2(pixel.x - principalPoint.x, principalPoint.y - pixel.y) / focal;
   vec3 viewDirection = orthographic ? vec3(0.0, 0.0, -1.0) : normalize(vec3(imagePlane, -1.0)); // camera axes
   vec3 origin = orthographic ? cameraPosition + raySpaceFromCamera * vec3(imagePlane, 0.0) : cameraPosition;
   vec3 direction = raySpaceFromCamera * viewDirection;
   float near = max(nearDistance, clipPlanes.x / -viewDirection.z);
   float far = clipPlanes.y / -viewDirection.z;
+#if SCENE_DEPTH
+  float drawn = texelFetch(sceneDepth, ivec2(gl_FragCoord.xy), 0).r;
+  far = min(far, viewFromBuffer(drawn) / -viewDirection.z);
+  vec3 camera = origin;
+#endif
 #if FORWARD_FACING
   toGrid(origin, direction, near, far);
 #endif
@@ -71,6 +99,9 @@ void main() {
   vec3 entry = origin + direction * entryDistance;
   int samples = endDistance > entryDistance ? int(ceil(endDistance - entryDistance - 0.5)) : 0;
   int k = 0;
+#if SCENE_DEPTH
+  int halfway = -1; // the sample at which half of the light is gone
+#endif
   while (k < samples && transmittance > MIN_TRANSMITTANCE) {
     vec3 point = entry + (float(k) + 0.5) * direction;
     // Clamp: rounding may put a sample on the grid's outer face into a block outside.
@@ -107,6 +138,9 @@ void main() {
       features += transmittance * featureAt(page, texel);
 #endif
       transmittance *= 1.0 - rgba.a;
+#if SCENE_DEPTH
+      if (halfway < 0 && transmittance < 0.5) halfway = k;
+#endif
       maybeEmpty = rgba.a == 0.0;
       ++k;
     }
@@ -123,5 +157,16 @@ void main() {
 #if VIEW_DEPENDENCE
   if (transmittance <= NETWORK_TRANSMITTANCE) rgb += viewDependentColour(rgb + transmittance, features, networkFromCamera * viewDirection);
 #endif
-  colour = vec4(clamp(rgb + transmittance * background, 0.0, 1.0), 1.0);
+  colour = vec4(clamp(rgb, 0.0, 1.0), 1.0 - transmittance); // premultiplied
+#if SCENE_DEPTH
+  gl_FragDepth = drawn;
+  if (halfway >= 0) {
+    vec3 point = entry + (float(halfway) + 0.5) * direction;
+#if FORWARD_FACING
+    point = fromGrid(point);
+#endif
+    gl_FragDepth = bufferFromView(dot(point - camera, raySpaceFromCamera * vec3(0.0, 0.0, -1.0)));
+  }
+#endif
+  if (linearOutput && colour.a > 0.0) colour.rgb = colour.a * linear(min(colour.rgb / colour.a, 1.0));
 }

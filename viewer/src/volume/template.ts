@@ -7,9 +7,9 @@ const PLACEHOLDER = /\{\{(.*?)\}\}/g;
  *
  * Throws an Error when the template has a placeholder without a value, or when a value has no placeholder.
  */
-export function fillTemplate(template, values) {
-  const used = new Set();
-  const text = template.replace(PLACEHOLDER, (_, name) => {
+export function fillTemplate(template: string, values: Readonly<Record<string, string>>): string {
+  const used = new Set<string>();
+  const text = template.replace(PLACEHOLDER, (_, name: string) => {
     if (!Object.hasOwn(values, name)) throw new Error(`The shader template has an unknown placeholder {{${name}}}.`);
     used.add(name);
     return values[name];

@@ -6,9 +6,9 @@
  * occupied: values with x fastest, of a grid of [nx, ny, nz]. Returns a Uint8Array of that length. Two sweeps, forward and
  * backward, each over the 13 neighbours that the sweep has passed.
  */
-export function chebyshevDistance(occupied, [nx, ny, nz]) {
+export function chebyshevDistance(occupied: ArrayLike<number>, [nx, ny, nz]: readonly [number, number, number]): Uint8Array {
   const distance = Uint8Array.from(occupied, (value) => (value ? 0 : 255));
-  const passed = [];
+  const passed: [number, number, number][] = [];
   for (let i = 0; i < 13; i++) passed.push([(i % 3) - 1, (Math.floor(i / 3) % 3) - 1, Math.floor(i / 9) - 1]);
   for (const sign of [1, -1]) {
     for (let i = 0; i < distance.length; i++) {

@@ -1,17 +1,24 @@
 // Where the cells lie in the atlas textures of this device.
-import { ViewerError } from "./errors.js";
-import { CELL_VOXELS } from "./scene.js";
+
+import { CELL_VOXELS } from "../data/scene";
+import { ViewerError } from "../errors";
 
 const MAX_CELLS_PER_SIDE = 255; // the indirection texture stores a position in cells with 8 bits an axis
 
+export interface AtlasLayout {
+  pages: number; // textures of each kind
+  blocks: [number, number, number]; // cells of a texture along x, y and z
+  cellsPerPage: number;
+}
+
 /**
- * A layout for that many cells: {pages, blocks, cellsPerPage}, with `pages` textures of blocks = [x, y, z] cells each, which the
+ * A layout for that many cells, with `pages` textures of blocks = [x, y, z] cells each, which the
  * cells fill page by page, x fastest. No texture has more than `textureLimit` texels on a side.
  *
  * The layout of the files may not fit: WebGL 2 guarantees 256 texels a side. Cells are uploaded one by one, so that any layout
  * will do; this one is nearly a cube, which leaves few cells unused. Throws a ViewerError when the cells need more than maxPages.
  */
-export function atlasLayout(cells, textureLimit, maxPages) {
+export function atlasLayout(cells: number, textureLimit: number, maxPages: number): AtlasLayout {
   const side = Math.min(Math.floor(textureLimit / CELL_VOXELS), MAX_CELLS_PER_SIDE);
   const pages = Math.max(1, Math.ceil(cells / side ** 3));
   if (side < 1 || pages > maxPages) {
@@ -27,7 +34,7 @@ export function atlasLayout(cells, textureLimit, maxPages) {
 }
 
 /** The position of a cell in a layout: [page, x, y, z] in cells. */
-export function cellPosition({ blocks: [x, y], cellsPerPage }, cell) {
+export function cellPosition({ blocks: [x, y], cellsPerPage }: AtlasLayout, cell: number): [number, number, number, number] {
   const i = cell % cellsPerPage;
   return [Math.floor(cell / cellsPerPage), i % x, Math.floor(i / x) % y, Math.floor(i / (x * y))];
 }

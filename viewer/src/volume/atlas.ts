@@ -5,48 +5,77 @@ import {
   Data3DTexture,
   IntType,
   LinearFilter,
+  type MagnificationTextureFilter,
   NearestFilter,
-  RGBAFormat,
+  type PixelFormat,
   RedFormat,
   RedIntegerFormat,
+  RGBAFormat,
+  type TextureDataType,
   UnsignedByteType,
   Vector3,
+  type WebGLRenderer,
 } from "three";
-import { atlasLayout, cellPosition } from "./atlas_layout.js";
-import { chebyshevDistance } from "./distance.js";
-import { ViewerError } from "./errors.js";
-import { CELL_VOXELS } from "./scene.js";
-import { SLICE_PLANES, readSlice } from "./slices.js";
+import { CELL_VOXELS, type SceneDescription } from "../data/scene";
+import { SLICE_PLANES, type SliceTexels } from "../data/slices";
+import { ViewerError } from "../errors";
+import { type AtlasLayout, atlasLayout, cellPosition } from "./atlas_layout";
+import { chebyshevDistance } from "./distance";
 
 const COARSE_TEXELS = 4; // texels of a coarse voxel along an axis; within a cell, rays skip coarse voxels
 const COARSE_PER_CELL = CELL_VOXELS / COARSE_TEXELS; // along an axis
 const COARSE_BYTES = COARSE_PER_CELL ** 3; // a cell, at one byte a coarse voxel
-const CONCURRENT_SLICES = 3; // slices that are fetched and decoded at the same time: what bounds the memory
 
-/** The textures of a scene (of `readScene`). The constructor throws a ViewerError when this device cannot hold them. */
+type Kind = "rgba" | "feature";
+type Triple = [number, number, number];
+
+/** The textures that the shader reads: one a page, and the indirection grid. */
+export interface AtlasTextures {
+  rgba: Data3DTexture[];
+  feature: Data3DTexture[]; // none in a diffuse scene
+  distance: Data3DTexture[];
+  indirection: Data3DTexture;
+}
+
+/** The textures of a scene. The constructor throws a ViewerError when this device cannot hold them. */
 export class Atlas {
-  constructor(renderer, scene) {
-    const gl = renderer.getContext();
-    this.renderer = renderer;
-    this.scene = scene;
+  readonly kinds: Kind[];
+  readonly layout: AtlasLayout;
+  readonly size: Triple; // texels of a page along x, y and z
+  readonly bytes: number; // of graphics memory
+  private readonly pages: Record<Kind, Data3DTexture[]>;
+  private made: Data3DTexture[] = []; // by `textures`
+  private occupied: Uint8Array; // 1 where a coarse voxel is not empty, cell by cell, x fastest
+
+  constructor(
+    private readonly renderer: WebGLRenderer,
+    private readonly scene: SceneDescription,
+  ) {
+    const gl = renderer.getContext() as WebGL2RenderingContext;
     this.kinds = scene.network ? ["rgba", "feature"] : ["rgba"];
     const textureLimit = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
-    const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS) - 1; // one is for the indirection grid
+    const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS) - 2; // one is for the indirection grid, one for the depth of other objects
     if (Math.max(...scene.blocks) > textureLimit) {
       const blocks = scene.blocks.join(" x ");
       throw new ViewerError(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
     }
     this.layout = atlasLayout(scene.cells, textureLimit, Math.floor(units / (this.kinds.length + 1)));
-    this.size = this.layout.blocks.map((n) => n * CELL_VOXELS); // texels of a page along x, y and z
+    this.size = this.layout.blocks.map((n) => n * CELL_VOXELS) as Triple;
     this.bytes = this.layout.pages * this.size[0] * this.size[1] * this.size[2] * 4 * this.kinds.length;
-    this.occupied = new Uint8Array(scene.cells * COARSE_BYTES); // 1 where a coarse voxel is not empty, cell by cell, x fastest
-    const allocate = () => Array.from({ length: this.layout.pages }, () => this.allocatePage());
-    this.pages = Object.fromEntries(this.kinds.map((kind) => [kind, allocate()]));
+    this.occupied = new Uint8Array(scene.cells * COARSE_BYTES);
+    const allocate = (kind: Kind) =>
+      this.kinds.includes(kind) ? Array.from({ length: this.layout.pages }, () => this.allocatePage()) : [];
+    this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
+  }
+
+  /** Free the graphics memory. */
+  dispose(): void {
+    for (const texture of [...this.pages.rgba, ...this.pages.feature, ...this.made]) texture.dispose();
   }
 
   /** An atlas texture in graphics memory, without a copy in main memory. */
-  allocatePage() {
-    const texture = makeTexture(null, this.size, { format: RGBAFormat, type: UnsignedByteType, filter: LinearFilter });
+  private allocatePage(): Data3DTexture {
+    const texture = makeTexture(null, this.size, RGBAFormat, UnsignedByteType, LinearFilter);
     texture.source.dataReady = false;
     const gl = this.renderer.getContext();
     while (gl.getError() !== gl.NO_ERROR); // errors of earlier calls
@@ -58,27 +87,24 @@ export class Atlas {
     return texture;
   }
 
-  /** Fetch, decode and upload every slice. onProgress(done, total) is called after each. */
-  async load(folder, onProgress) {
-    const total = (this.scene.atlas_blocks[2] * CELL_VOXELS) / SLICE_PLANES;
-    let [next, done] = [0, 0];
-    const work = async () => {
-      while (next < total) {
-        const slice = next++;
-        const texels = await readSlice(this.scene, folder, slice);
-        for (const kind of this.kinds) this.upload(kind, slice, texels[kind]);
-        onProgress(++done, total);
-      }
-    };
-    await Promise.all(Array.from({ length: CONCURRENT_SLICES }, work));
+  /** Upload the texels of a slice. */
+  take(slice: number, texels: SliceTexels): void {
+    for (const kind of this.kinds) this.upload(kind, slice, texels[kind] as Uint8Array);
+  }
+
+  /** All textures, when every slice was taken. cells: of `readIndirection`. */
+  textures(cells: Int32Array<ArrayBuffer>): AtlasTextures {
+    const [distance, indirection] = [this.distanceTextures(), this.indirectionTexture(cells)];
+    this.made = [...distance, indirection];
+    return { ...this.pages, distance, indirection };
   }
 
   /** Copy the part of each cell that a slice holds from the layout of the files to the one of the textures. */
-  upload(kind, slice, texels) {
+  private upload(kind: Kind, slice: number, texels: Uint8Array): void {
     const [bx, by] = this.scene.atlas_blocks;
     const [width, height] = [bx * CELL_VOXELS, by * CELL_VOXELS];
-    const source = makeTexture(texels, [width, height, SLICE_PLANES], { format: RGBAFormat, type: UnsignedByteType, filter: LinearFilter });
-    const words = new Uint32Array(texels.buffer, 0, texels.length / 4);
+    const source = makeTexture(texels, [width, height, SLICE_PLANES], RGBAFormat, UnsignedByteType, LinearFilter);
+    const words = new Uint32Array(texels.buffer, texels.byteOffset, texels.length / 4);
     const layer = Math.floor((slice * SLICE_PLANES) / CELL_VOXELS);
     const z = (slice * SLICE_PLANES) % CELL_VOXELS;
     for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
@@ -96,7 +122,7 @@ export class Atlas {
   }
 
   /** Mark the coarse voxels of a cell that the nonzero texels of a slice reach. words: one a texel; start: the cell's first. */
-  markOccupied(words, start, width, height, cell, firstPlane) {
+  private markOccupied(words: Uint32Array, start: number, width: number, height: number, cell: number, firstPlane: number): void {
     for (let z = 0; z < SLICE_PLANES; z++) {
       for (let y = 0; y < CELL_VOXELS; y++) {
         const row = start + (z * height + y) * width;
@@ -108,9 +134,9 @@ export class Atlas {
   }
 
   /** Mark the coarse voxels in which a texel has a trilinear weight: its own, and at a border its neighbours. */
-  markCoarseVoxels(cell, x, y, z) {
-    const low = (i) => Math.max(0, (i - 1) >> 2);
-    const high = (i) => Math.min(COARSE_PER_CELL - 1, (i + 1) >> 2);
+  private markCoarseVoxels(cell: number, x: number, y: number, z: number): void {
+    const low = (i: number) => Math.max(0, (i - 1) >> 2);
+    const high = (i: number) => Math.min(COARSE_PER_CELL - 1, (i + 1) >> 2);
     for (let cz = low(z); cz <= high(z); cz++) {
       for (let cy = low(y); cy <= high(y); cy++) {
         const row = cell * COARSE_BYTES + (cz * COARSE_PER_CELL + cy) * COARSE_PER_CELL;
@@ -120,10 +146,10 @@ export class Atlas {
   }
 
   /** A texture a page with, for each coarse voxel, the distance in coarse voxels to the nearest of its cell that is not empty. */
-  distanceTextures() {
+  private distanceTextures(): Data3DTexture[] {
     const [x, y, z] = this.layout.blocks.map((n) => n * COARSE_PER_CELL);
     const pages = Array.from({ length: this.layout.pages }, () => new Uint8Array(x * y * z));
-    const cellShape = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
+    const cellShape: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
     for (let cell = 0; cell < this.scene.cells; cell++) {
       const distances = chebyshevDistance(this.occupied.subarray(cell * COARSE_BYTES, (cell + 1) * COARSE_BYTES), cellShape);
       const [page, px, py, pz] = cellPosition(this.layout, cell);
@@ -133,8 +159,8 @@ export class Atlas {
         pages[page].set(distances.subarray(row * COARSE_PER_CELL, (row + 1) * COARSE_PER_CELL), (cz * y + cy) * x + px * COARSE_PER_CELL);
       }
     }
-    this.occupied = null;
-    return pages.map((data) => makeTexture(data, [x, y, z], { format: RedFormat, type: UnsignedByteType, filter: NearestFilter }));
+    this.occupied = new Uint8Array(0);
+    return pages.map((data) => makeTexture(data, [x, y, z], RedFormat, UnsignedByteType, NearestFilter));
   }
 
   /**
@@ -143,7 +169,7 @@ export class Atlas {
    *
    * cells: of `readIndirection`.
    */
-  indirectionTexture(cells) {
+  private indirectionTexture(cells: Int32Array<ArrayBuffer>): Data3DTexture {
     const occupied = Uint8Array.from(cells, (cell) => (cell >= 0 ? 1 : 0));
     const distances = chebyshevDistance(occupied, this.scene.blocks);
     const data = Int32Array.from(cells, (cell, i) => {
@@ -151,14 +177,20 @@ export class Atlas {
       const [page, x, y, z] = cellPosition(this.layout, cell);
       return (page << 24) | (z << 16) | (y << 8) | x;
     });
-    const texture = makeTexture(data, this.scene.blocks, { format: RedIntegerFormat, type: IntType, filter: NearestFilter });
+    const texture = makeTexture(data, this.scene.blocks, RedIntegerFormat, IntType, NearestFilter);
     texture.internalFormat = "R32I";
     return texture;
   }
 }
 
-function makeTexture(data, [width, height, depth], { format, type, filter }) {
-  const texture = new Data3DTexture(data, width, height, depth);
+function makeTexture(
+  data: Uint8Array | Int32Array | null,
+  [width, height, depth]: Triple,
+  format: PixelFormat,
+  type: TextureDataType,
+  filter: MagnificationTextureFilter,
+): Data3DTexture {
+  const texture = new Data3DTexture(data as Uint8Array<ArrayBuffer> | null, width, height, depth);
   Object.assign(texture, { format, type, minFilter: filter, magFilter: filter, unpackAlignment: 1, needsUpdate: true });
   texture.wrapS = texture.wrapT = texture.wrapR = ClampToEdgeWrapping;
   return texture;

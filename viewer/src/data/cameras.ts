@@ -1,0 +1,55 @@
+// cameras.json: the cameras that were exported with a scene.
+import type { Matrix4 } from "three";
+import { EXPORT_AGAIN, ViewerError } from "../errors";
+import { type FileSource, readJson } from "./files";
+import { isArray, isPositiveInteger, matrixOfRows } from "./scene";
+
+/** A pinhole or orthographic camera. Pixels are counted from the top left corner; lengths are in units of the scene. */
+export interface SnergCamera {
+  name: string;
+  projection: "perspective" | "orthographic";
+  width: number; // pixels
+  height: number;
+  focal: [number, number]; // pixels; of an orthographic camera, pixels a unit
+  centre: [number, number]; // the principal point, pixels
+  near: number; // of the clip planes, along the view axis
+  far?: number;
+  distortion?: unknown; // of the lens; not shown
+  cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
+}
+
+/** What cameras.json says. */
+export interface CameraList {
+  cameras: SnergCamera[];
+  coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
+}
+
+/** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
+export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
+  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown } | null;
+  if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
+    throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
+  }
+  const cameras = value.cameras.map((camera, i) => ({
+    ...camera,
+    name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
+    cameraToWorld: matrixOfRows(camera.camera_to_world),
+  }));
+  return { cameras, coarse: value.coarse === true };
+}
+
+function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {
+  return (
+    camera !== null &&
+    typeof camera === "object" &&
+    isPositiveInteger(camera.width) &&
+    isPositiveInteger(camera.height) &&
+    isArray(camera.focal, [2]) &&
+    camera.focal.every((f) => f > 0) &&
+    isArray(camera.centre, [2]) &&
+    isArray(camera.camera_to_world, [4, 4]) &&
+    Number.isFinite(camera.near) &&
+    (camera.far === undefined || camera.far > camera.near) &&
+    ["perspective", "orthographic"].includes(camera.projection)
+  );
+}

@@ -1,0 +1,58 @@
+// The exported page: one <snerg-viewer>, and the address that says what it shows.
+import { asViewerError, defineElement, type SnergViewerElement } from "../index";
+import { readView, writeView } from "../viewer/shared_view";
+
+const STILL = 250; // milliseconds without a change after which the address follows the view
+
+/** The options in the address: ?camera=NAME_OR_INDEX&background=black&width=W&height=H&ui=none. Those after # take precedence. */
+function addressOptions(): URLSearchParams {
+  const values = new URLSearchParams(location.search);
+  new URLSearchParams(location.hash.slice(1)).forEach((value, key) => {
+    values.set(key, value);
+  });
+  return values;
+}
+
+const element = document.querySelector("snerg-viewer") as SnergViewerElement;
+const address = addressOptions();
+for (const key of ["camera", "background", "width", "height", "ui"]) {
+  const value = address.get(key);
+  if (value !== null) element.setAttribute(key, value);
+}
+document.body.classList.toggle("fixed-size", address.has("width") && address.has("height"));
+
+/**
+ * For tests, and for pages that embed this one. ready: a promise of whether the scene is on the page. problem: the error message, or
+ * null. frames: how many images were shown. settled(): a promise that the page shows the full image.
+ */
+const hook = {
+  frames: 0,
+  get ready() {
+    return element.ready;
+  },
+  get problem() {
+    return element.problem;
+  },
+  settled: () => element.viewer?.settled(),
+};
+Object.assign(window, { snerg: hook });
+window.addEventListener("error", (event) => event.error && element.fail(asViewerError(event.error)));
+window.addEventListener("unhandledrejection", (event) => element.fail(asViewerError(event.reason)));
+
+defineElement();
+element.viewer?.on("image", () => hook.frames++);
+
+/** Write the view into the address once it stands still; everything else that the address says stays. */
+let writing = 0;
+element.addEventListener("view", () => {
+  clearTimeout(writing);
+  writing = window.setTimeout(() => {
+    if (!element.bar) return;
+    const parameters = writeView(new URLSearchParams(location.hash.slice(1)), element.bar.view);
+    history.replaceState(history.state, "", `#${parameters}`);
+  }, STILL);
+});
+const showAddressed = () => element.bar?.show(readView(addressOptions()));
+element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
+window.addEventListener("hashchange", showAddressed);
+window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

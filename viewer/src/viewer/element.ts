@@ -1,0 +1,190 @@
+// <snerg-viewer>: a viewer with its bar, its progress and its messages.
+import type { ViewerError } from "../errors";
+import { Bar } from "./bar";
+import { colourOf } from "./shared_view";
+import style from "./style.css";
+import template from "./template.html";
+import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
+
+const HINT_SHOWN = 1500; // milliseconds
+const MAX_SIZE = 8192; // pixels of a side that may be asked for
+
+/**
+ * Shows the scene of a bundle. Attributes, which are read when it is put into the page:
+ *
+ *   src         the bundle's folder (with cameras.json and scene/); without it, the folder or the single file of the page itself
+ *   camera      the name or the number of the camera to begin with
+ *   background  white, grey or black
+ *   poster      a picture that is shown until the scene is there
+ *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
+ *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
+ *   ui          "none": without the bar
+ *   width, height  of the picture in CSS pixels; else it fills the element
+ *
+ * Events: "picture" with the first picture, "view" when the view changes, "load" when the scene is there, "error" with the message in `detail`, "camera" with a camera's name in `detail` when it is chosen.
+ */
+export class SnergViewerElement extends HTMLElement {
+  /** The viewer; null until the element is in a page, and where the browser cannot show it. */
+  viewer: Viewer | null = null;
+  /** The message that is shown in place of the scene, or null. */
+  problem: string | null = null;
+  /** Resolves to whether the scene is shown. */
+  readonly ready: Promise<boolean>;
+  /** The bar and what it can do; null until there is a picture. */
+  bar: Bar | null = null;
+  private settle!: (shown: boolean) => void;
+  private readonly root = this.attachShadow({ mode: "open" });
+
+  constructor() {
+    super();
+    this.ready = new Promise((resolve) => {
+      this.settle = resolve;
+    });
+  }
+
+  connectedCallback(): void {
+    if (this.viewer) return;
+    this.root.innerHTML = template;
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(style);
+    this.root.adoptedStyleSheets = [sheet];
+    this.find("reload").onclick = () => location.reload();
+    const poster = this.getAttribute("poster");
+    if (poster) this.showPoster(poster);
+    try {
+      this.start();
+    } catch (error) {
+      this.fail(asViewerError(error));
+    }
+  }
+
+  disconnectedCallback(): void {
+    this.viewer?.destroy();
+    this.viewer = null;
+    this.bar = null;
+  }
+
+  /** Show a message in place of the scene. */
+  fail(error: ViewerError): void {
+    this.problem = error.message;
+    this.find("loading").hidden = true;
+    this.find("bar").hidden = true;
+    this.find("problem").hidden = false;
+    this.find("problem-text").textContent = error.message;
+    this.dispatchEvent(new CustomEvent("error", { detail: error.message }));
+    this.settle(false);
+  }
+
+  /** Show the camera of that name or number, as its entry in the list does. */
+  choose(name: string | number): void {
+    const { viewer } = this;
+    if (!viewer) return;
+    const index = typeof name === "number" ? name : findCamera(viewer.cameras, name);
+    if (!viewer.cameras[index]) return;
+    this.find<HTMLSelectElement>("camera").value = String(index);
+    void viewer.goTo(index);
+    this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
+  }
+
+  private find<T extends HTMLElement>(id: string): T {
+    return this.root.getElementById(id) as T;
+  }
+
+  private start(): void {
+    const stage = this.find("stage");
+    const size = this.fixedSize();
+    if (size) Object.assign(stage.style, { width: `${size.width}px`, height: `${size.height}px` });
+    stage.classList.toggle("fixed", size !== undefined);
+    const background = this.getAttribute("background") ?? "";
+    const viewer = createViewer(stage, {
+      src: this.getAttribute("src") ?? undefined,
+      camera: this.getAttribute("camera"),
+      background: colourOf(background),
+      size,
+      limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
+    });
+    this.viewer = viewer;
+    const { canvas } = viewer;
+    canvas.id = "canvas";
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, plus and minus to zoom, R to reset.");
+    viewer.on("error", (error) => this.fail(error));
+    viewer.on("progress", ({ slices, totalSlices, bytes }) => {
+      this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
+      const about = (bytes / slices) * totalSlices; // its slices are about equally large
+      this.find("loading-text").textContent = `Loading the scene: ${megabytes(bytes)} of about ${megabytes(about)} MB`;
+    });
+    viewer.on("image", ({ width, height, milliseconds, coarse }) => {
+      // The poster is finer than the coarse scene, but it shows one view alone.
+      const poster = this.find("poster");
+      const { atCamera, camera } = viewer.state;
+      if (!coarse || !atCamera || camera !== (viewer.cameras[0]?.name ?? "")) poster.hidden = true;
+      this.find("loading").hidden = !coarse;
+      this.find("loading").classList.add("beside");
+      const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
+      this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
+      if (this.bar || this.problem) return;
+      this.bar = new Bar(
+        this.root,
+        viewer,
+        (index) => this.choose(index),
+        () => this.dispatchEvent(new CustomEvent("view")),
+      );
+      this.bar.setBackground(background);
+      this.find("bar").hidden = this.getAttribute("ui") === "none";
+      this.dispatchEvent(new CustomEvent("picture"));
+    });
+    viewer.on("view", () => {
+      this.bar?.showFrame();
+      this.dispatchEvent(new CustomEvent("view"));
+    });
+    let hiding = 0;
+    viewer.on("scroll", () => {
+      this.find("hint").hidden = false;
+      clearTimeout(hiding);
+      hiding = window.setTimeout(() => {
+        this.find("hint").hidden = true;
+      }, HINT_SHOWN);
+    });
+    this.addEventListener("keydown", (event) => this.press(event));
+    viewer.ready.then(
+      () => {
+        this.settle(this.problem === null);
+        this.dispatchEvent(new CustomEvent("load"));
+      },
+      () => {}, // it was said by "error"
+    );
+  }
+
+  private fixedSize(): { width: number; height: number } | undefined {
+    const [width, height] = ["width", "height"].map((key) => Math.min(Number.parseInt(this.getAttribute(key) ?? "", 10) || 0, MAX_SIZE));
+    return width > 0 && height > 0 ? { width, height } : undefined;
+  }
+
+  /** Two numbers of an attribute, the smaller one first; undefined where there are none. */
+  private pair(name: string): [number, number] | undefined {
+    const values = (this.getAttribute(name) ?? "").trim().split(/\s+/).map(Number);
+    return values.length === 2 && values.every(Number.isFinite) && values[0] <= values[1] ? [values[0], values[1]] : undefined;
+  }
+
+  private showPoster(address: string): void {
+    const poster = this.find<HTMLImageElement>("poster");
+    poster.src = address;
+    poster.hidden = false;
+    this.find("loading").classList.add("beside");
+  }
+
+  /** Keys, also those that the page passes on from outside the element. */
+  press(event: KeyboardEvent): void {
+    const origin = event.composedPath()[0];
+    const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    if (this.bar?.press((event.key ?? "").toLowerCase())) event.preventDefault(); // null when the browser fills in a form
+  }
+}
+
+const megabytes = (bytes: number): string => (bytes / 1e6).toFixed(bytes < 1e7 ? 1 : 0);
+
+export function defineElement(): void {
+  if (!customElements.get("snerg-viewer")) customElements.define("snerg-viewer", SnergViewerElement);
+}

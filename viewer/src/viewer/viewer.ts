@@ -1,0 +1,358 @@
+// A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
+import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
+import { readCameras, type SnergCamera } from "../data/cameras";
+import { EmbeddedFiles, type FileSource, ServerFiles } from "../data/files";
+import { matrixOfRows } from "../data/scene";
+import { type LoadProgress, SnergScene } from "../data/snerg_scene";
+import { ViewerError } from "../errors";
+import { SnergVolume } from "../volume/volume";
+import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
+import { rowsOf } from "./shared_view";
+import { type OrbitLimits, View } from "./view";
+
+const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
+const KEY_TURN = Math.PI / 36; // radians a key press
+const TURNS: ReadonlyMap<string, [number, number]> = new Map([
+  ["ArrowLeft", [-1, 0]],
+  ["ArrowRight", [1, 0]],
+  ["ArrowUp", [0, 1]],
+  ["ArrowDown", [0, -1]],
+]);
+const KEY_APPROACH = 1.1; // a key press
+const NO_WEBGL =
+  "This browser offers no WebGL 2, which renders the scene. Switch on graphics acceleration in its settings, or use a newer browser.";
+const LOST = "The graphics driver was reset and the scene was lost from its memory. Reload the page.";
+
+export interface ViewerOptions {
+  /** The address of a folder that holds cameras.json and scene/, as `snerg bundle` writes it. Without it, the page's own files. */
+  src?: string | URL | FileSource;
+  /** The name of the camera to begin with, or its number as text; the first without it. */
+  camera?: string | null;
+  background?: Colour;
+  /** The canvas's size in CSS pixels; else it follows the container. */
+  size?: { width: number; height: number };
+  limits?: OrbitLimits;
+  signal?: AbortSignal;
+}
+
+export interface ViewerEvents {
+  progress: LoadProgress;
+  image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
+  view: ViewerState;
+  error: ViewerError;
+  scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
+}
+
+export interface ViewerState {
+  camera: string; // the name of the camera that was shown last; "" for none
+  atCamera: boolean; // whether the view is still that camera's own
+  cameraToWorld: number[][]; // of the view: four rows, Blender's axes
+  zoom: number; // of an orthographic camera, from its own
+  frame: [number, number, number, number]; // where the camera's image lies: left, top, width, height in CSS pixels
+}
+
+export interface Viewer {
+  /** Resolves when the whole scene is on the card; rejects with a ViewerError. */
+  ready: Promise<void>;
+  readonly cameras: readonly SnergCamera[];
+  readonly state: ViewerState;
+  readonly canvas: HTMLCanvasElement;
+  background: Colour;
+  on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
+  /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
+  goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
+  /** Look from a pose, camera-to-world in four rows, with the lens of the camera that is shown. zoom: of an orthographic camera. */
+  lookFrom(cameraToWorld: number[][], zoom?: number): void;
+  /** Turn the orbit, by radians. */
+  turn(right: number, up: number): void;
+  /** Resolves when the page shows the full image of the view. */
+  settled(): Promise<void>;
+  /** The picture as a PNG. alpha: without the background. */
+  capture(options?: { width?: number; height?: number; alpha?: boolean }): Promise<Blob>;
+  fullscreen(): Promise<void>;
+  destroy(): void;
+}
+
+/** Show a scene in a container, which needs a size of its own. Throws a ViewerError when the browser has no WebGL 2. */
+export const createViewer = (container: HTMLElement, options: ViewerOptions = {}): Viewer => new CanvasViewer(container, options);
+
+class CanvasViewer implements Viewer {
+  readonly canvas: HTMLCanvasElement;
+  readonly ready: Promise<void>;
+  cameras: readonly SnergCamera[] = [];
+  private readonly webgl: WebGLRenderer;
+  private readonly world = new Scene();
+  private readonly abort = new AbortController();
+  private readonly listeners = new Map<string, Set<(event: never) => void>>();
+  private readonly loaded = { slices: 0, totalSlices: 0, bytes: 0 };
+  private renderer: ProgressiveRenderer | null = null;
+  private view: View | null = null;
+  private volume: SnergVolume | null = null;
+  private scene: SnergScene | null = null;
+  private whole = false; // whether the scene itself is shown, and not the coarse one
+  private flight = 0; // counts flights, so that a new one ends the one before
+  private colour: Colour;
+  private readonly observer = new ResizeObserver(() => this.follow());
+
+  constructor(
+    private readonly container: HTMLElement,
+    private readonly options: ViewerOptions,
+  ) {
+    this.colour = options.background ?? [1, 1, 1, 1];
+    this.canvas = document.createElement("canvas");
+    this.canvas.tabIndex = 0;
+    this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
+    container.append(this.canvas);
+    options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
+    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    this.canvas.addEventListener("webglcontextrestored", () => this.restore());
+    this.canvas.addEventListener("keydown", (event) => this.press(event));
+    this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
+    this.ready = this.load();
+    this.ready.catch((error: unknown) => this.fail(error));
+  }
+
+  private async load(): Promise<void> {
+    const { signal } = this.abort;
+    const source = sourceOf(this.options.src);
+    const onProgress = (progress: LoadProgress) => this.emit("progress", Object.assign(this.loaded, progress));
+    const [{ cameras, coarse }, scene] = await Promise.all([
+      readCameras(source, "cameras.json", signal),
+      SnergScene.load(source, { folder: "scene/", onProgress, signal }),
+    ]);
+    this.cameras = cameras;
+    this.scene = scene;
+    const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
+    if (first) await this.show(first);
+    await this.show(scene);
+    this.whole = true;
+    await this.renderer?.settled();
+  }
+
+  /** Show a scene in place of the one before, when all of it is on the card. */
+  private async show(scene: SnergScene): Promise<void> {
+    const volume = new SnergVolume(scene, { srgbTargets: true });
+    await volume.load(this.webgl);
+    if (this.volume) {
+      this.world.remove(this.volume);
+      this.volume.dispose();
+    }
+    this.volume = volume;
+    this.world.add(volume);
+    if (this.renderer) this.renderer.change();
+    else this.begin(scene);
+  }
+
+  /** There is something to show: begin to render, and to follow the mouse. */
+  private begin(scene: SnergScene): void {
+    const { cameras } = this;
+    const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
+    this.view = view;
+    this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
+      this.emit("image", { ...image, coarse: !this.whole }),
+    );
+    this.renderer.background = this.colour;
+    const first = Math.max(findCamera(cameras, this.options.camera ?? null), 0);
+    if (cameras[first]) view.jump(cameras[first]);
+    this.observer.observe(this.container);
+    this.follow();
+  }
+
+  get background(): Colour {
+    return this.colour;
+  }
+
+  set background(colour: Colour) {
+    this.colour = colour;
+    if (!this.renderer) return;
+    this.renderer.background = colour;
+    this.renderer.change();
+  }
+
+  get state(): ViewerState {
+    const { view } = this;
+    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0] };
+    return {
+      camera: view.camera.name,
+      atCamera: view.atCamera && !view.shared,
+      cameraToWorld: rowsOf(view.pose()),
+      zoom: view.zoom,
+      frame: view.frame,
+    };
+  }
+
+  on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void {
+    const set = this.listeners.get(name) ?? new Set();
+    this.listeners.set(name, set.add(listener));
+    return () => set.delete(listener);
+  }
+
+  private emit<Name extends keyof ViewerEvents>(name: Name, event: ViewerEvents[Name]): void {
+    for (const listener of this.listeners.get(name) ?? []) (listener as (event: ViewerEvents[Name]) => void)(event);
+  }
+
+  async goTo(camera?: string | number, { duration = 0 }: { duration?: number } = {}): Promise<void> {
+    const { view } = this;
+    if (!view) return;
+    const index = camera === undefined ? -1 : typeof camera === "number" ? camera : findCamera(this.cameras, camera);
+    if (camera !== undefined && !this.cameras[index]) throw new ViewerError(`There is no camera ${camera}.`);
+    const target = this.cameras[index] ?? view.overview();
+    const flight = ++this.flight;
+    const still = duration <= 0 || matchMedia("(prefers-reduced-motion: reduce)").matches;
+    if (!still && target.projection === view.camera.projection) {
+      const from = { ...view.camera, cameraToWorld: view.pose().clone() };
+      const began = performance.now();
+      for (let part = 0; part < 1 && flight === this.flight; ) {
+        part = Math.min(((await nextFrame()) - began) / (1000 * duration), 1);
+        if (flight === this.flight && part < 1) view.jump(between(from, target, part * part * (3 - 2 * part)));
+      }
+    }
+    if (flight === this.flight) view.jump(target);
+  }
+
+  lookFrom(cameraToWorld: number[][], zoom = 1): void {
+    this.flight++;
+    this.view?.lookFrom(matrixOfRows(cameraToWorld), zoom);
+  }
+
+  turn(right: number, up: number): void {
+    this.flight++;
+    this.view?.turn(right, up);
+  }
+
+  settled(): Promise<void> {
+    return this.renderer ? this.renderer.settled() : this.ready;
+  }
+
+  async capture({ width, height, alpha = false }: { width?: number; height?: number; alpha?: boolean } = {}): Promise<Blob> {
+    await this.ready;
+    const [w, h] = [width ?? this.canvas.width, height ?? this.canvas.height];
+    const renderer = this.renderer as ProgressiveRenderer;
+    const view = this.view as View;
+    const size = view.resize(w, h); // the same camera fits the picture
+    const pixels = renderer.capture(w, h, alpha ? [0, 0, 0, 0] : this.colour);
+    view.resize(...size);
+    const canvas = new OffscreenCanvas(w, h);
+    canvas.getContext("2d")?.putImageData(new ImageData(pixels, w, h), 0, 0);
+    return canvas.convertToBlob({ type: "image/png" });
+  }
+
+  async fullscreen(): Promise<void> {
+    if (document.fullscreenElement) return document.exitFullscreen();
+    await this.container.requestFullscreen();
+  }
+
+  destroy(): void {
+    this.flight++;
+    this.abort.abort(new ViewerError("The viewer was closed."));
+    this.observer.disconnect();
+    this.renderer?.dispose();
+    this.volume?.dispose();
+    this.view?.controls.dispose();
+    this.webgl.dispose();
+    this.canvas.remove();
+  }
+
+  /** Give the canvas its size in device pixels. */
+  private follow(): void {
+    const { size } = this.options;
+    const [width, height] = size ? [size.width, size.height] : [this.container.clientWidth, this.container.clientHeight];
+    if (width < 1 || height < 1 || !this.view || !this.renderer) return;
+    const ratio = size ? 1 : Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO);
+    this.view.resize(width, height);
+    this.renderer.resize(Math.round(width * ratio), Math.round(height * ratio));
+  }
+
+  private viewChanged(): void {
+    this.renderer?.change();
+    this.emit("view", this.state);
+  }
+
+  private press(event: KeyboardEvent): void {
+    const turn = TURNS.get(event.key);
+    const nearer = event.key === "+" || event.key === "=";
+    if (event.ctrlKey || event.metaKey || event.altKey || (!turn && !nearer && event.key !== "-")) return;
+    if (turn) this.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
+    else this.view?.approach(nearer ? KEY_APPROACH : 1 / KEY_APPROACH);
+    event.preventDefault();
+  }
+
+  /** Inside the frame of another page the wheel scrolls that page, and zooms with Ctrl alone. */
+  private spareScrolling(event: WheelEvent): void {
+    if (window.self === window.top || event.ctrlKey || event.metaKey) return;
+    event.stopImmediatePropagation();
+    this.emit("scroll", undefined);
+  }
+
+  /** The graphics driver was reset: bring the scene to the card again. */
+  private async restore(): Promise<void> {
+    if (!this.scene || !this.whole || !this.renderer) return this.fail(new ViewerError(LOST));
+    try {
+      await this.show(this.scene);
+    } catch {
+      return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+    }
+    this.renderer.restart();
+  }
+
+  private fail(error: unknown): void {
+    if (this.abort.signal.aborted) return;
+    if (!(error instanceof ViewerError)) console.error(error);
+    this.emit("error", asViewerError(error));
+  }
+}
+
+/** An error that a person can read. */
+export function asViewerError(error: unknown): ViewerError {
+  if (error instanceof ViewerError) return error;
+  const text = error instanceof Error ? error.message : String(error);
+  return new ViewerError(`The viewer failed (${text}). Reload the page, or try another browser.`);
+}
+
+/** The index of a camera by its name, or by its index as text; -1 if there is none. */
+export function findCamera(cameras: readonly SnergCamera[], text: string | null): number {
+  if (text === null) return -1;
+  const named = cameras.findIndex((camera) => camera.name === text);
+  if (named >= 0) return named;
+  return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
+}
+
+function sourceOf(src: string | URL | FileSource | undefined): FileSource {
+  if (src === undefined || src === "") return EmbeddedFiles.areThere() ? new EmbeddedFiles("") : new ServerFiles(".");
+  return typeof src === "string" || src instanceof URL ? new ServerFiles(src) : src;
+}
+
+function makeRenderer(canvas: HTMLCanvasElement, fail: (error: ViewerError) => void): WebGLRenderer {
+  const options = { alpha: true, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" } as const;
+  const context = canvas.getContext("webgl2", options);
+  if (!context) throw new ViewerError(NO_WEBGL);
+  const renderer = new WebGLRenderer({ canvas, context: context as never });
+  renderer.autoClear = false;
+  renderer.debug.onShaderError = (gl, program, _vertex, fragment) => {
+    const log = gl.getShaderInfoLog(fragment) || gl.getProgramInfoLog(program) || "it gives no reason";
+    const reason = log
+      .replace(/[\s\0]+/g, " ")
+      .trim()
+      .slice(0, 300);
+    if (!gl.isContextLost()) fail(new ViewerError(`The graphics driver refuses the viewer's shader: ${reason}`));
+  };
+  return renderer;
+}
+
+const nextFrame = (): Promise<number> => new Promise((resolve) => requestAnimationFrame(() => resolve(performance.now())));
+
+/** A camera on the way from one to another: part 0 is the first, 1 the second. */
+function between<T extends Omit<SnergCamera, "name">>(from: T, to: T, part: number): T {
+  const [a, b] = [from, to].map((camera) => {
+    const position = new Vector3();
+    const rotation = new Quaternion();
+    camera.cameraToWorld.decompose(position, rotation, new Vector3());
+    return { position, rotation };
+  });
+  const rotation = a.rotation.slerp(b.rotation, part);
+  const cameraToWorld = new Matrix4().compose(a.position.lerp(b.position, part), rotation, new Vector3(1, 1, 1));
+  const scale = to.height / from.height; // the lens, in heights of the picture
+  const focal = from.focal.map((f, i) => f * scale * (to.focal[i] / (f * scale)) ** part) as [number, number];
+  const centre = from.centre.map((c, i) => c * (i ? scale : to.width / from.width) * (1 - part) + to.centre[i] * part) as [number, number];
+  return { ...to, name: "", focal, centre, cameraToWorld };
+}
