@@ -49,7 +49,7 @@ class SNERG_AP_preferences(bpy.types.AddonPreferences):
         self.layout.use_property_split = True
         self.layout.prop(self, "project_pattern", placeholder=DEFAULT)
         if sentence := problem(self.project_pattern):
-            draw_answer(self.layout, training_python.Answer(sentence, False))
+            draw_answer(self.layout, Answer(sentence, "unready"))
         self.layout.prop(self, "gpu_megabytes")
         row = self.layout.row(align=True)
         row.prop(self, "training_python", placeholder="Blender's own")
