@@ -89,14 +89,14 @@ def error_against_time(rows: Sequence[StudyRow], paths: dict[str, list[PathPoint
 
 
 def rate_and_distortion(paths: dict[str, list[PathPoint]], rows: Sequence[StudyRow]) -> Any:
-    """PSNR against megabytes: of PNG by resolution, of the other codecs by quality at the baseline's resolution."""
+    """PSNR against megabytes: of PNG by resolution; at the baseline's, of the lossless codecs, and of the others by quality."""
     made, (one,) = figure(8, 5)
-    drawn = {"PNG, by resolution": paths.get(RESOLUTION, []), "WebP": paths.get(CODEC, [])}
+    drawn = {"PNG, by resolution": paths.get(RESOLUTION, []), "lossless codecs": paths.get(CODEC, [])}
     drawn |= {parameter: path for parameter, path in paths.items() if parameter.endswith("quality")}
     for colour, (label, path) in zip(COLOURS, drawn.items(), strict=False):
         x, y = [point.row["megabytes"] for point in path], [point.row["psnr"] for point in path]
         one.plot(x, y, "-o", color=colour, markersize=4, linewidth=1, label=label)
-        for point in path if label != "WebP" else ():
+        for point in path:
             label = point.value.removesuffix(" voxels")
             place = point.row["megabytes"], point.row["psnr"]
             if not point.is_baseline:

@@ -11,7 +11,8 @@ import pytest
 
 from scenes import empty_snerg, make_dataset, make_snerg
 from snerg.core.baking.finish import Finishing, finish
-from snerg.core.baking.fit_voxels import FitSettings, fit_voxels
+from snerg.core.baking.fit_batches import Voxels, batches
+from snerg.core.baking.fit_voxels import FitSettings, fit_voxels, pixel_errors
 from snerg.core.baking.prune import prune, shares, without
 from snerg.core.baking.ray_samples import RaySamples, sampled_views
 from snerg.core.data.dataset import Dataset
@@ -183,3 +184,16 @@ def test_rays_of_parts_are_those_of_the_whole():
     assert whole.first.tolist() == [0, 3, 4, 6]
     rows, ray, slot = whole.rows(np.array([2, 0]))
     assert rows.tolist() == [4, 5, 0, 1, 2] and ray.tolist() == [0, 0, 1, 1, 1] and slot.tolist() == [0, 1, 0, 1, 2]
+
+
+def test_what_is_fitted_is_what_the_marcher_shows(views):
+    """The squared error over a view is that of its picture, in a scene with thin fog too, whose rays have the most samples."""
+    scene = make_snerg((110, 96, 120), fog=True)
+    samples = next(sampled_views(scene, views, np.arange(1), 10**9, 0, lambda f, t: None))
+    voxels, total = Voxels.of(scene, samples), 0.0
+    for batch in batches(samples, np.arange(len(samples)), 256, voxels):
+        corners = voxels.stored[batch.corners].astype(np.float32) / 255
+        total += float((pixel_errors(corners, scene.network, batch, WHITE, scene.opacity_correction) ** 2).sum())
+    frame, image = render_scene(scene, views.cameras[0]), over(views.read(0))
+    shown = frame.colour + (1 - frame.alpha[..., None])
+    assert np.diff(samples.first).max() > 32 and total == pytest.approx(float(((shown - image)[frame.alpha > 0] ** 2).sum()), rel=0.01)
