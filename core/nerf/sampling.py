@@ -91,7 +91,7 @@ def _measurable(camera: Camera, pixels: NDArray[Any], size: int) -> NDArray[Any]
 
 
 def footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
-    """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
+    """The radius in pixels of a sphere of `radius` world units at the nearest of depths [N], at most an eighth of the picture."""
     if not len(depth):
         return 1
     nearest = 1.0 if camera.projection == "orthographic" else max(float(depth.min()), 1e-9)
