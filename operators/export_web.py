@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import bpy
@@ -43,6 +44,7 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
         cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
         write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
         arguments += ["--cameras", str(project.cameras)]
+    arguments += page_arguments(settings)
     if settings.codec != "scene":
         arguments += ["--codec", settings.codec]
     if settings.codec in LOSSY:
@@ -50,3 +52,19 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
     if settings.codec != "scene" and settings.half_features:
         arguments.append("--half-features")
     return [*arguments, "--single-file"] if settings.single_file else arguments
+
+
+def page_arguments(settings: Any) -> list[str]:
+    """The options for what the page says about itself, and how it opens."""
+    arguments = [] if settings.page_background == "white" else ["--background", settings.page_background]
+    for option, text in (
+        ("--title", settings.page_title),
+        ("--description", settings.page_description),
+        ("--address", settings.page_address),
+    ):
+        if text:
+            arguments.append(f"{option}={text}")  # in one word: a text may begin with a dash
+    if settings.limits_orbit:
+        arguments += ["--orbit-distance", *(f"{value:g}" for value in settings.orbit_distance)]
+        arguments += ["--orbit-elevation", *(f"{math.degrees(value):g}" for value in settings.orbit_elevation)]
+    return arguments

@@ -11,6 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 from ..core.data.dataset import DatasetOptions
 from ..core.data.rig import RigSettings
 from ..core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
+from ..core.export.page_settings import BACKGROUNDS
 
 # Blender 5 shows a path that starts with // in red unless the property has this option.
 RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"}
@@ -321,6 +322,38 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Half Features",
         description="Store the features, which the view dependence is computed from, at half the resolution: about half of all bytes",
         default=False,
+    )
+    page_title: StringProperty(name="Title", description="Of the page, also where a link to it is shared. Empty: SNeRG")
+    page_description: StringProperty(name="Description", description="A sentence that search engines and shared links show")
+    page_address: StringProperty(
+        name="Address", description="Where the page will be published, as https://example.org/page: shared links then show its picture"
+    )
+    page_background: EnumProperty(
+        name="Background",
+        description="Behind the scene at first; people who look at the page can change it",
+        items=[(name, name.capitalize(), "") for name in BACKGROUNDS],
+        default="white",
+    )
+    limits_orbit: BoolProperty(
+        name="Limit the Orbit", description="Bound how near and far, how low and high people may orbit the scene", default=False
+    )
+    orbit_distance: FloatVectorProperty(
+        name="Nearest, Farthest",
+        description="Distance from the point that is looked at",
+        size=2,
+        subtype="XYZ_LENGTH",
+        unit="LENGTH",
+        default=(1.0, 10.0),
+        min=1e-4,
+    )
+    orbit_elevation: FloatVectorProperty(
+        name="Lowest, Highest",
+        description="Angle above the horizon",
+        size=2,
+        unit="ROTATION",
+        default=(0.0, math.pi / 2),
+        min=-math.pi / 2,
+        max=math.pi / 2,
     )
     single_file: BoolProperty(
         name="Single File",

@@ -11,7 +11,7 @@ from ..data.camera_world import in_training_world
 from ..data.readers.transforms import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page import BACKGROUNDS, PLAIN, PageSettings
+from ..export.page_settings import BACKGROUNDS, PLAIN, PageSettings
 from ..export.scene_files import codec_of, is_current
 from ..io.generation import one_generation
 from ..io.lock import writes_out

@@ -24,7 +24,8 @@ from ..progress import Progress, silent
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
-from .page import PLAIN, POSTER, PageSettings, data_address, page_html, poster_bytes
+from .page import POSTER, data_address, page_html, poster_bytes
+from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
 
 VIEWER = Path(__file__).parents[2] / "viewer"

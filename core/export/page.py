@@ -6,18 +6,16 @@ import base64
 import html
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from PIL import Image
 
-from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..io.images import to_uint8
 from ..progress import Progress
 from ..rendering.render import render_scene
 from ..scene.scene import Scene
+from .page_settings import BACKGROUNDS, PageSettings, pair
 
-BACKGROUNDS = {"white": 1.0, "grey": 128 / 255, "black": 0.0}
 POSTER = "poster.webp"
 POSTER_SIDE = 960  # pixels of the poster's longer side at most
 POSTER_QUALITY = 80
@@ -26,47 +24,18 @@ TITLE = "<title>SNeRG</title>"
 HEADING = '<h1 class="unseen">SNeRG</h1>'  # for screen readers
 
 
-@dataclass(frozen=True)
-class PageSettings:
-    """What a page says about itself, and how it opens. Raises SnergError for values that cannot be used."""
-
-    title: str = ""
-    description: str = ""
-    address: str = ""  # where the page will be published: other sites show its picture only by a whole address
-    background: str = "white"  # of BACKGROUNDS
-    distance: tuple[float, float] | None = None  # nearest and farthest orbit, in units of the scene, from the point that is looked at
-    elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
-
-    def __post_init__(self) -> None:
-        if self.background not in BACKGROUNDS:
-            raise SnergError(f"There is no background {self.background!r}; choose from {', '.join(BACKGROUNDS)}.")
-        if self.address and not self.address.startswith(("http://", "https://")):
-            raise SnergError(f"{self.address} is not the address of a page; it begins with https:// or http://.")
-        if self.distance is not None and not 0 < self.distance[0] <= self.distance[1]:
-            raise SnergError(f"The orbit's distances are {_pair(self.distance)}; give two above 0, the smaller one first.")
-        if self.elevation is not None and not -90 <= self.elevation[0] <= self.elevation[1] <= 90:
-            raise SnergError(f"The orbit's elevations are {_pair(self.elevation)}; give two from -90 to 90, the smaller one first.")
-
-
-PLAIN = PageSettings()
-
-
 def page_html(template: str, settings: PageSettings, poster: str | None) -> str:
     """index.html with its title, its description and the attributes of its element. poster: the address of the picture."""
     attributes: dict[str, str] = {"background": settings.background}
     if poster:
         attributes["poster"] = poster
     if settings.distance:
-        attributes["distance"] = _pair(settings.distance)
+        attributes["distance"] = pair(settings.distance)
     if settings.elevation:
-        attributes["elevation"] = _pair(settings.elevation)
+        attributes["elevation"] = pair(settings.elevation)
     tag = "".join(f' {name}="{html.escape(value)}"' for name, value in attributes.items())
     heading = HEADING.replace("SNeRG", html.escape(settings.title or "SNeRG"))
     return template.replace(TITLE, _head(settings, poster)).replace(HEADING, heading).replace(ELEMENT, f"{ELEMENT[:-1]}{tag}>")
-
-
-def _pair(values: tuple[float, float]) -> str:
-    return f"{values[0]:g} {values[1]:g}"
 
 
 def _head(settings: PageSettings, poster: str | None) -> str:

@@ -31,6 +31,7 @@ class ExportStep(Step):
         if settings.codec != "scene":
             column.prop(settings, "half_features")
         layout.prop(settings, "single_file")
+        draw_page(layout, settings)
         layout.operator("snerg.export_web", icon="URL")
         layout.operator("snerg.export_scene", icon="EXPORT")
         project = project_of(context.scene)
@@ -42,3 +43,16 @@ class ExportStep(Step):
         )
         if project.has("web"):
             layout.operator("snerg.open_page", icon="WORLD")
+
+
+def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:
+    """What the page says about itself, and how it opens, in a part that is closed at first."""
+    header, body = layout.panel("SNERG_page", default_closed=True)
+    header.label(text="About the Page")
+    if body is None:
+        return
+    for name in ("page_title", "page_description", "page_address", "page_background", "limits_orbit"):
+        body.prop(settings, name)
+    if settings.limits_orbit:
+        body.prop(settings, "orbit_distance")
+        body.prop(settings, "orbit_elevation")

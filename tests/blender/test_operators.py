@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 from pathlib import Path
 
@@ -240,6 +241,17 @@ def test_a_page_needs_no_cameras(scene, monkeypatch):
     scene.snerg.web_cameras = "ALL"
     add_camera()
     assert "--cameras" in started(monkeypatch, "export_web")
+
+
+def test_a_page_says_what_the_artist_wrote(scene, monkeypatch):
+    """Texts stay one word each of the command, whatever they begin with."""
+    settings = scene.snerg
+    assert "--orbit-distance" not in started(monkeypatch, "export_web")
+    settings.page_title, settings.page_background, settings.limits_orbit = "--out", "black", True
+    settings.orbit_distance, settings.orbit_elevation = (2.0, 3.5), (0.0, math.pi / 4)
+    parsed = parser().parse_args(started(monkeypatch, "export_web"))
+    assert parsed.title == "--out" and parsed.background == "black" and parsed.description == ""
+    assert parsed.orbit_distance == [2.0, 3.5] and parsed.orbit_elevation == [0.0, 45.0]
 
 
 def test_what_is_wrong_with_a_dataset_folder_is_said(scene, tmp_path):

@@ -20,7 +20,7 @@ from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.codecs import CodecSettings
-from snerg.core.export.page import PageSettings
+from snerg.core.export.page_settings import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.coarse import coarse_scene
