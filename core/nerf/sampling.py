@@ -77,7 +77,7 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
 
 
 def footprint(camera: Camera, depth: NDArray[Any], radius: float) -> int:
-    """The radius in pixels of a sphere of `radius` world units at the nearest of the depths, at most an eighth of the picture."""
+    """The radius in pixels of a sphere of `radius` world units at the nearest of the depths [N], at most an eighth of the picture."""
     if not len(depth):
         return 1
     nearest = 1.0 if camera.projection == "orthographic" else max(float(depth.min()), 1e-9)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
+from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..nerf.sampling import CELLS, Domain, cell_centres, footprint
 from .ray_dataset import RayDataset
@@ -22,13 +23,14 @@ EDGE = 1  # pixels around a pixel whose depths count as its own: a pixel at an e
 def missing_share(dataset: Dataset, rays: RayDataset) -> float:
     """Reads all depths, and gives each ray the depth behind which it needs no samples, or infinity (`RayDataset.depth`).
 
-    Every view must name a depth. Returns the share in [0, 1] of the pixels with alpha that have no depth. Raises SnergError where a file
-    cannot be read.
+    Returns the share in [0, 1] of the pixels with alpha that have no depth. Raises SnergError where a view has no depth, or a file cannot
+    be read.
     """
     limits, missing, shown = np.full(len(rays.pixels), np.inf, np.float32), 0, 0
     for i, (start, end) in enumerate(zip(rays.starts, rays.ends, strict=True)):
         depth = dataset.depth(i)
-        assert depth is not None
+        if depth is None:
+            raise SnergError(f"The view {dataset.cameras[i].name} has no depth; render the dataset with depth, or set depth to off.")
         there, none = rays.pixels[start:end, 3].reshape(depth.shape) > 0, np.isnan(depth)
         missing, shown = missing + int((none & there).sum()), shown + int(there.sum())
         limits[start:end] = extreme(np.where(none, np.float32(np.inf), depth), EDGE, largest=True).reshape(-1)

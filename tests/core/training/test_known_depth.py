@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres
-from snerg.core.training.config import TrainSettings
 from snerg.core.training.decisions import Decision
 from snerg.core.training.known_depth import extreme
 from snerg.core.training.prepare import carve_by_depth
@@ -59,18 +59,18 @@ def dataset(folder: Path, alpha: bool = True, missing: float = 0.0) -> Dataset:
     return read_dataset(folder)
 
 
-def carved(views: Dataset, setting: str = "auto") -> tuple[RayDataset, NDArray[Any], NDArray[Any], Decision]:
+def carved(views: Dataset) -> tuple[RayDataset, NDArray[Any], NDArray[Any], Decision]:
     """(the rays, some cells [CELLS^3] bool before and after, the decision)"""
     rays = RayDataset([views.read(i) for i in range(len(views.views))], views.cameras, DOMAIN)
     before = np.zeros(CELLS**3, bool)
     before[np.random.default_rng(2).choice(CELLS**3, 20_000, replace=False)] = True
-    after, decision = carve_by_depth(views, TrainSettings(depth=setting), rays, DOMAIN, before)
+    after, decision = carve_by_depth(views, rays, DOMAIN, before)
     return rays, before, after, decision
 
 
 @pytest.mark.parametrize("alpha", [True, False])
 def test_cells_that_views_look_through_are_empty_and_no_others(tmp_path, alpha):
-    rays, before, after, decision = carved(dataset(tmp_path, alpha), "on")
+    rays, before, after, decision = carved(dataset(tmp_path, alpha))
     assert decision.chosen is True and rays.depth is not None
     distance = np.linalg.norm(cell_centres(CELLS), axis=-1)
     held = before & (distance < RADIUS + np.sqrt(3) / CELLS)
@@ -90,20 +90,21 @@ def test_rays_end_behind_what_they_show(tmp_path):
     assert (distance < RADIUS + 1e-5).all() and np.median(distance) > 0.8 * RADIUS, "on the surface, or a pixel's slope behind it"
 
 
-def test_cells_stay_unless_the_settings_say_that_depth_shows_everything(tmp_path):
-    """A scene with smoke or a veil has depth behind them alone."""
+def test_where_depth_is_missing_nothing_is_emptied_by_it(tmp_path):
+    """The upper half of each view has no depth: rays there go on for ever, and the upper half of the ball stays whole."""
     rays, before, after, decision = carved(dataset(tmp_path, missing=0.5))
-    assert decision.chosen is True and rays.depth is not None and (before == after).all()
     assert 0.3 < decision.measured < 0.7 and np.isinf(rays.depth.reshape(10, SIZE, SIZE)[:, : SIZE // 2 - 1]).all()
+    held = before & (np.linalg.norm(cell_centres(CELLS), axis=-1) < RADIUS)
+    assert after[held].all()
 
 
-def test_depth_that_cannot_be_read_is_left_alone_unless_it_is_wanted(tmp_path):
+def test_depth_that_is_missing_or_cannot_be_read_is_a_sentence(tmp_path):
     views = dataset(tmp_path)
     (tmp_path / "depth/3.npy").write_bytes(b"broken")
-    rays, before, after, decision = carved(views)
-    assert decision.chosen is False and rays.depth is None and (before == after).all() and "3.npy" in decision.evidence
     with pytest.raises(SnergError, match=r"3\.npy"):
-        carved(views, "on")
+        carved(views)
+    with pytest.raises(SnergError, match="has no depth"):
+        carved(replace(views, views=tuple(replace(view, depth=None) for view in views.views)))
 
 
 def test_extremes_of_a_square():
