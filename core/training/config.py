@@ -30,7 +30,7 @@ class TrainSettings:
     # What the images decide where it is 'auto'; 'on' or 'off' overrides.
     ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
     transparency: str = "auto"  # whether the images' alpha is trained on and bounds the scene (visual hull)
-    depth: str = "off"  # 'on': the dataset's depth, which must show everything, tells which cells are empty and where rays end
+    depth: str = "off"  # 'on': the cells that views look through, by the dataset's depth, are empty from the first step
     backdrop: str = "auto"  # whether a plain backdrop in opaque images bounds the scene (visual hull)
 
     # Sampling.

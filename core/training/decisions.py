@@ -72,13 +72,13 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
 
 
-def known_depth(missing: float, carved: float) -> Decision:
+def known_depth(carved: float) -> Decision:
     """The decision that the dataset's depth is used, as the settings say.
 
-    missing: share in [0, 1] of what the images show that has no depth; carved: share of the cells of the occupancy grid that it empties.
+    carved: share in [0, 1] of the cells of the occupancy grid that it empties.
     """
-    evidence = f"A view looks through {100 * carved:.0f} % of the cells; {100 * missing:.1f} % of what the images show has no depth."
-    return Decision("Depth", True, evidence, missing, None, True)
+    evidence = f"A view looks through {100 * carved:.0f} % of the cells, which are empty."
+    return Decision("Depth", True, evidence, carved, None, True)
 
 
 def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:

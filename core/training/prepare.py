@@ -122,15 +122,14 @@ def find_domain(
 
 
 def carve_by_depth(dataset: Dataset, rays: RayDataset, domain: Domain, occupied: NDArray[Any]) -> tuple[NDArray[Any], Decision]:
-    """Give the rays the dataset's depth. Returns (the cells that no view looks through bool [CELLS^3], the decision on depth).
+    """(the cells that no view looks through bool [CELLS^3], the decision on depth).
 
     Raises SnergError where a view has no depth, it cannot be read, or it leaves no cell.
     """
-    missing = known_depth.missing_share(dataset, rays)
     kept = known_depth.carve(dataset, rays, domain, occupied)
     if not kept.any():
         raise SnergError("The depth of the dataset says that all of the box is empty; its unit may be wrong: set depth to off.")
-    return kept, decisions.known_depth(missing, 1 - int(kept.sum()) / max(int(occupied.sum()), 1))
+    return kept, decisions.known_depth(1 - int(kept.sum()) / max(int(occupied.sum()), 1))
 
 
 def find_silhouettes(
