@@ -30,7 +30,7 @@ class TrainSettings:
     # What the images decide where it is 'auto'; 'on' or 'off' overrides.
     ndc: str = "auto"  # whether the field lives in normalized device coordinates (NeRF, appendix C)
     transparency: str = "auto"  # whether the images' alpha is trained on and bounds the scene (visual hull)
-    depth: str = "auto"  # 'auto': the dataset's depth, if it is a render's, ends rays at first; 'on': and what views look through is empty
+    depth: str = "off"  # 'on': the cells that views look through, by the dataset's depth, are empty from the first step
     backdrop: str = "auto"  # whether a plain backdrop in opaque images bounds the scene (visual hull)
 
     # Sampling.
@@ -73,7 +73,7 @@ class TrainSettings:
         one_of("view_dependence", self.view_dependence, ("auto", *VIEWS))
         one_of("ndc", self.ndc, ("auto", "on", "off"))
         one_of("transparency", self.transparency, ("auto", "on", "off"))
-        one_of("depth", self.depth, ("auto", "on", "off"))
+        one_of("depth", self.depth, ("off", "on"))
         one_of("backdrop", self.backdrop, ("auto", "on", "off"))
         one_of("sampler", self.sampler, ("packed", "hierarchical"))
         one_of("hierarchy", self.hierarchy, ("auto", "on", "off"))

@@ -72,15 +72,13 @@ def transparency(setting: str, pixels: NDArray[Any], has_alpha: bool) -> Decisio
     return decided("Alpha", setting, share >= TRANSPARENT, evidence, share, TRANSPARENT)
 
 
-def known_depth(setting: str, missing: float, carved: float) -> Decision:
-    """The decision that the dataset's depth is used, and where the setting is 'on', that it empties cells.
+def known_depth(carved: float) -> Decision:
+    """The decision that the dataset's depth is used, as the settings say.
 
-    missing: share in [0, 1] of what the images show that has no depth; carved: share of the cells of the occupancy grid that are emptied.
+    carved: share in [0, 1] of the cells of the occupancy grid that it empties.
     """
-    evidence = f"Rays end behind the depth of the dataset at first; {100 * missing:.1f} % of what the images show has none."
-    if setting == "on":
-        evidence += f" {100 * carved:.0f} % of the cells are empty, because a view looks through them."
-    return Decision("Depth", True, evidence, missing, None, setting != "auto")
+    evidence = f"A view looks through {100 * carved:.0f} % of the cells, which are empty."
+    return Decision("Depth", True, evidence, carved, None, True)
 
 
 def backdrop(setting: str, shares: Sequence[float], alpha: bool, colour: str) -> Decision:

@@ -31,7 +31,6 @@ UPDATE_CELLS = 2**18  # cells of the occupancy grid that are measured in one upd
 UPDATE_EVERY = 64  # steps
 WARM_UP = 256  # steps before an occupancy cell may become empty
 SPACINGS = ((0.1, 8), (0.25, 4), (0.6, 2), (math.inf, 1))  # (until this fraction of a minute's training, times the final spacing)
-KNOWN_UNTIL = 0.3  # fraction of the training up to which the dataset's depth ends rays; then glass may turn out to show more
 STEPS_A_MINUTE = 1200  # of a training that has steps and no time, about
 
 
@@ -97,8 +96,6 @@ class OccupancySampler:
         draw = int(min(size / self.samples_per_ray, most - 1))
         index = self.ray_dataset.draw(draw, self.rng)
         origin, direction, near, far, view_directions = self.ray_dataset.rays(index)
-        if self.ray_dataset.depth is not None and fraction < KNOWN_UNTIL:
-            far = np.minimum(far, self.ray_dataset.surfaces(index, view_directions) + MARGIN * length)
         tile = self.termination.tile(index)
         until = self.termination.depths[tile] + MARGIN * length
         got = pack_samples(self.domain, self.occupied, origin, direction, length, self.rng.random(draw), near, far, until)

@@ -117,37 +117,22 @@ def find_domain(
     plain = all(s is None for s in silhouettes)  # what is behind the scene must be explained too
     box = dataset.opaque_box if plain and dataset.opaque_box is not None else dataset.suggested_box()
     domain, occupied = hull(box, dataset.cameras, silhouettes)
-    if settings.depth == "off" or any(view.depth is None for view in dataset.views):
+    if settings.depth == "off":
         return domain, None, occupied, [decision, backdrop]
-    if settings.depth == "auto" and (dataset.source is None or dataset.source.photographs):
-        of_depth = Decision("Depth", False, "The depth of photographs is not exact enough to end rays by it.")
-    else:
-        progress(0.0, "Reading the depth")
-        occupied, of_depth = carve_by_depth(dataset, settings, rays, domain, occupied)
+    progress(0.0, "Reading the depth")
+    occupied, of_depth = carve_by_depth(dataset, rays, domain, occupied)
     return domain, None, occupied, [decision, backdrop, of_depth]
 
 
-def carve_by_depth(
-    dataset: Dataset, settings: TrainSettings, rays: RayDataset, domain: Domain, occupied: NDArray[Any]
-) -> tuple[NDArray[Any], Decision]:
-    """Give the rays the dataset's depth. Returns (the occupied cells bool [CELLS^3], the decision on depth).
+def carve_by_depth(dataset: Dataset, rays: RayDataset, domain: Domain, occupied: NDArray[Any]) -> tuple[NDArray[Any], Decision]:
+    """(the cells that no view looks through bool [CELLS^3], the decision on depth).
 
-    Only where the settings ask for depth are cells that a view looks through emptied: depth does not show smoke, nor what is mostly
-    transparent, and an emptied cell stays empty.
-
-    Raises SnergError where the settings want depth and it cannot be read; otherwise training does without.
+    Raises SnergError where a view has no depth, it cannot be read, or it leaves no cell.
     """
-    try:
-        missing = known_depth.missing_share(dataset, rays)
-        kept = known_depth.carve(dataset, rays, domain, occupied) if settings.depth == "on" else occupied
-    except SnergError as error:
-        if settings.depth == "on":
-            raise
-        rays.depth = None
-        return occupied, Decision("Depth", False, f"It cannot be read: {error}")
+    kept = known_depth.carve(dataset, rays, domain, occupied)
     if not kept.any():
         raise SnergError("The depth of the dataset says that all of the box is empty; its unit may be wrong: set depth to off.")
-    return kept, decisions.known_depth(settings.depth, missing, 1 - int(kept.sum()) / max(int(occupied.sum()), 1))
+    return kept, decisions.known_depth(1 - int(kept.sum()) / max(int(occupied.sum()), 1))
 
 
 def find_silhouettes(

@@ -20,8 +20,7 @@ class RayDataset:
     """The pixels of all views and their rays. Pixels are numbered view after view, row by row.
 
     pixels: [N, 4] uint8, sRGB with straight alpha, which is 255 where an image has none. alpha: whether every image has an alpha channel
-    and some pixel is not opaque. depth: [N] float32 along the camera's axis in world units, behind which a ray needs no samples, or None
-    where the dataset has none. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
+    and some pixel is not opaque. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
     """
 
     def __init__(
@@ -44,7 +43,6 @@ class RayDataset:
         self.parallel = np.array([c.projection == "orthographic" for c in cameras])
         self.near = np.array([c.near for c in cameras])
         self.withheld = np.zeros(len(cameras), bool)
-        self.depth: NDArray[Any] | None = None
         self._set_lenses(cameras)
         self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
         self.alpha = self._fill(images)
@@ -116,16 +114,6 @@ class RayDataset:
         if self.useful is None:
             return rng.integers(0, len(self.pixels), count)
         return np.asarray(self.useful[rng.integers(0, len(self.useful), count)].astype(np.int64))
-
-    def surfaces(self, index: NDArray[Any], view_directions: NDArray[Any]) -> NDArray[Any]:
-        """Distances [N], in field coordinates, of `depth` along the rays of pixels `index` [N]; infinite where there is none.
-
-        view_directions: theirs [N, 3].
-        """
-        if self.depth is None:
-            return np.full(len(index), np.inf)
-        along = -(self.pose[self.view(index), :3, 2] * view_directions).sum(axis=-1)
-        return np.asarray(self.depth[index] / along * self.domain.scale)
 
     def view(self, index: NDArray[Any]) -> NDArray[Any]:
         """The views [N] of the pixels with numbers `index` [N]."""

@@ -19,6 +19,7 @@ from ..nerf.checkpoint import FILE, is_field, read_field, read_field_and_state
 from ..nerf.field import Field
 from .config import TrainSettings
 
+ADDED = {"depth": "off"}  # settings that earlier versions had not, at the values with which training does as those did
 NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 
@@ -62,7 +63,9 @@ def trainings_beside(out: Path) -> list[dict[str, Any]]:
 
 
 def _plain(settings: Any, dataset: Path | str, options: Any, views: int) -> dict[str, Any]:
-    """The values by which two trainings count as the same, as JSON values."""
+    """The values by which two trainings count as the same, as JSON values. A training of an earlier version has those of this one."""
+    if isinstance(settings, dict):
+        settings = {name: value for name, value in settings.items() if name not in ADDED or value != ADDED[name]}
     return dict(json.loads(json_bytes({"settings": settings, "dataset": str(dataset), "options": options, "views": views})))
 
 

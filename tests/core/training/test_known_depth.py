@@ -1,7 +1,8 @@
-"""Depth in a dataset empties the cells that views look through, and no others, and ends rays behind what they show."""
+"""Depth in a dataset empties the cells that views look through, and no others."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,8 @@ from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres
-from snerg.core.training.config import TrainSettings
 from snerg.core.training.decisions import Decision
-from snerg.core.training.known_depth import extreme
+from snerg.core.training.known_depth import smallest
 from snerg.core.training.prepare import carve_by_depth
 from snerg.core.training.ray_dataset import RayDataset
 
@@ -59,56 +59,43 @@ def dataset(folder: Path, alpha: bool = True, missing: float = 0.0) -> Dataset:
     return read_dataset(folder)
 
 
-def carved(views: Dataset, setting: str = "auto") -> tuple[RayDataset, NDArray[Any], NDArray[Any], Decision]:
-    """(the rays, some cells [CELLS^3] bool before and after, the decision)"""
+def carved(views: Dataset) -> tuple[NDArray[Any], NDArray[Any], Decision]:
+    """(some cells [CELLS^3] bool before and after, the decision)"""
     rays = RayDataset([views.read(i) for i in range(len(views.views))], views.cameras, DOMAIN)
     before = np.zeros(CELLS**3, bool)
     before[np.random.default_rng(2).choice(CELLS**3, 20_000, replace=False)] = True
-    after, decision = carve_by_depth(views, TrainSettings(depth=setting), rays, DOMAIN, before)
-    return rays, before, after, decision
+    after, decision = carve_by_depth(views, rays, DOMAIN, before)
+    return before, after, decision
 
 
 @pytest.mark.parametrize("alpha", [True, False])
 def test_cells_that_views_look_through_are_empty_and_no_others(tmp_path, alpha):
-    rays, before, after, decision = carved(dataset(tmp_path, alpha), "on")
-    assert decision.chosen is True and rays.depth is not None
+    before, after, decision = carved(dataset(tmp_path, alpha))
+    assert decision.chosen is True and decision.measured == pytest.approx(1 - after.sum() / before.sum())
     distance = np.linalg.norm(cell_centres(CELLS), axis=-1)
     held = before & (distance < RADIUS + np.sqrt(3) / CELLS)
     assert held.sum() > 1000 and after[held].all(), "what holds the surface, or lies behind it, stays"
     assert after.sum() < (2 * held.sum() if alpha else 0.95 * before.sum())
 
 
-def test_rays_end_behind_what_they_show(tmp_path):
-    views = dataset(tmp_path)
-    rays = carved(views)[0]
-    index = np.arange(len(rays.pixels))
-    origins, directions, _, _, world = rays.rays(index)
-    ends = rays.surfaces(index, world)
-    inner = np.concatenate([extreme(ball(c)[0].astype(np.float32), 2, largest=False).reshape(-1) > 0 for c in views.cameras])
-    distance = np.linalg.norm((origins + np.where(np.isfinite(ends), ends, 0)[:, None] * directions)[inner], axis=-1)
-    assert inner.sum() > 1000 and np.isfinite(ends[inner]).all()
-    assert (distance < RADIUS + 1e-5).all() and np.median(distance) > 0.8 * RADIUS, "on the surface, or a pixel's slope behind it"
+def test_where_depth_is_missing_nothing_is_emptied_by_it(tmp_path):
+    """The upper half of each view has no depth: the upper half of the ball stays whole."""
+    before, after, _ = carved(dataset(tmp_path, missing=0.5))
+    held = before & (np.linalg.norm(cell_centres(CELLS), axis=-1) < RADIUS)
+    assert after[held].all()
 
 
-def test_cells_stay_unless_the_settings_say_that_depth_shows_everything(tmp_path):
-    """A scene with smoke or a veil has depth behind them alone."""
-    rays, before, after, decision = carved(dataset(tmp_path, missing=0.5))
-    assert decision.chosen is True and rays.depth is not None and (before == after).all()
-    assert 0.3 < decision.measured < 0.7 and np.isinf(rays.depth.reshape(10, SIZE, SIZE)[:, : SIZE // 2 - 1]).all()
-
-
-def test_depth_that_cannot_be_read_is_left_alone_unless_it_is_wanted(tmp_path):
+def test_depth_that_is_missing_or_cannot_be_read_is_a_sentence(tmp_path):
     views = dataset(tmp_path)
     (tmp_path / "depth/3.npy").write_bytes(b"broken")
-    rays, before, after, decision = carved(views)
-    assert decision.chosen is False and rays.depth is None and (before == after).all() and "3.npy" in decision.evidence
     with pytest.raises(SnergError, match=r"3\.npy"):
-        carved(views, "on")
+        carved(views)
+    with pytest.raises(SnergError, match="has no depth"):
+        carved(replace(views, views=tuple(replace(view, depth=None) for view in views.views)))
 
 
-def test_extremes_of_a_square():
+def test_the_smallest_of_a_square():
     depth = np.random.default_rng(1).random((7, 9), np.float32)
     padded = np.pad(depth, 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (5, 5))
-    assert (extreme(depth, 2, largest=True) == windows.max(axis=(2, 3))).all()
-    assert (extreme(depth, 2, largest=False) == windows.min(axis=(2, 3))).all()
+    assert (smallest(depth, 2) == windows.min(axis=(2, 3))).all()

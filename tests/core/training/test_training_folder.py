@@ -14,11 +14,11 @@ from snerg.core.commands.info import info
 from snerg.core.commands.train import train_field
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError
-from snerg.core.nerf.checkpoint import FILE, read_field, write_field
+from snerg.core.nerf.checkpoint import FILE, read_field, read_field_and_state, write_field
 from snerg.core.training import trainer as train_module
 from snerg.core.training.config import PRESETS
 from snerg.core.training.log import read_log
-from snerg.core.training.training_folder import FINISHED, NEW, finish, training_folder
+from snerg.core.training.training_folder import FINISHED, NEW, UNFINISHED, finish, training_folder
 
 
 class Stop:
@@ -68,6 +68,17 @@ def test_the_old_field_stays_until_the_new_one_is_finished(out, dataset, often):
     assert any("stays as it is" in note for note in notes)
     assert read_field(out).about["steps"] == 9 and read_log(out)[-1]["step"] == 9
     assert [path.name for path in out.parent.iterdir()] == ["field"] and "unfinished_trainings" not in info(out)
+
+
+def test_an_unfinished_training_of_a_version_without_a_setting_goes_on(tmp_path, dataset, often):
+    with pytest.raises(Cancelled):
+        train_field(dataset, tmp_path / "field", steps=6, progress=Stop(2))
+    field, state = read_field_and_state(tmp_path / "field")
+    assert field.about["settings"].pop("depth") == "off"
+    write_field(field, tmp_path / "field", state)
+    settings = train_command.settings_of("fast", None, 6, 0, {})
+    assert training_folder(tmp_path / "field", settings, read_dataset(dataset)) == (tmp_path / "field", UNFINISHED)
+    assert training_folder(tmp_path / "field", replace(settings, depth="on"), read_dataset(dataset))[1] == NEW
 
 
 def test_other_settings_have_a_training_of_their_own(out, dataset, often):
