@@ -18,7 +18,7 @@ from ..baking.finish import DEFAULT_FINISHING, FINISHING_STAGES, Finishing
 from ..baking.memory import count_blocks
 from ..baking.occupied_voxels import candidate_blocks
 from ..baking.prune import PRUNING_PIXELS
-from ..baking.ray_samples import FIT_PIXELS
+from ..baking.ray_samples import FIT_PASSES, FIT_PIXELS, FIT_RAYS
 from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
 from ..geometry.box import Box
@@ -32,6 +32,7 @@ from .coefficients import DEFAULT_COEFFICIENTS, Coefficients
 from .field_probe import FieldProbe, visibility_rays
 
 DEFAULT_BAKE = BakeSettings()
+HIT_SHARE = 0.4  # of a training view's pixels, about, that hit the scene
 PRIOR_POINTS = 8  # weight of the whole field's share, in points, against that of the points inside a box: matters for small boxes
 DEFERRED_CHANNELS, DIFFUSE_CHANNELS = 8, 4  # bytes of a voxel: RGB, alpha, and 4 features where the field is view-dependent
 
@@ -180,10 +181,11 @@ def _finishing_seconds(probe: FieldProbe, finishing: Finishing, network: bool, r
     if not field.dataset:
         return {}
     views = probe.rates.preview_view * len(field.cameras)
-    fitted, pruned = min(pixels, FIT_PIXELS), min(pixels, PRUNING_PIXELS)
+    marched, pruned = min(pixels, FIT_PIXELS), min(pixels, PRUNING_PIXELS)
+    fitted = min(FIT_PASSES * marched, FIT_RAYS / HIT_SHARE)
     seconds = {
         "prune": views + coefficients.recorded_ray * ray * pruned,
-        "fit": coefficients.fit_seconds + views + (coefficients.recorded_ray + coefficients.fitted_ray) * ray * fitted,
+        "fit": coefficients.fit_seconds + views + (coefficients.recorded_ray * marched + coefficients.fitted_ray * fitted) * ray,
         "refine": coefficients.refine_seconds + views + ray * coefficients.refine_pixels,
     }
     return {name: seconds[name] for name in finishing.stages(network)}
