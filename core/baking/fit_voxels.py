@@ -49,7 +49,7 @@ class FitSettings:
     network_rate: float = 1e-3  # of the network's weights
     final_rate: float = 0.1  # rates at the end, as a share of those at the start; they decay exponentially
     evaluations: int = 6  # on the views that are kept out, over the whole fit
-    patience: int = 2  # evaluations without a gain after which it stops
+    patience: int = 4  # evaluations without a gain after which it stops; on fine grids most is gained when the rate is low
     seed: int = 0  # of the choice of pixels and their order
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which images with alpha are fitted
 
