@@ -28,7 +28,7 @@ from ..scene.blocks import fill_aprons
 from ..scene.scene import Scene
 from .fine_tune import MIN_IMPROVEMENT, MIN_PIXELS, VALIDATION_EVERY, psnr
 from .fit_batches import Batch, Neighbourhoods, Voxels, batch_ends, batches
-from .ray_samples import FIT_PIXELS, MAX_RAY_SAMPLES, RaySamples, sampled_views, stencil_weights
+from .ray_samples import FIT_PASSES, FIT_PIXELS, FIT_RAYS, MAX_RAY_SAMPLES, RaySamples, sampled_views, stencil_weights
 
 VALIDATION_PIXELS = 250_000  # of the views kept out, at most
 MARCH_SHARE = 0.3  # of the progress that marching the training views gets
@@ -42,13 +42,14 @@ class FitSettings:
     """How voxels are fitted."""
 
     pixels: int = FIT_PIXELS  # of all training views, of which those that hit the scene are fitted to
-    passes: int = 2  # over these pixels
+    rays: int = FIT_RAYS  # in all passes together, at most
+    passes: int = FIT_PASSES  # over these pixels, at most
     batch: int = 2048  # rays a step, at most
     rate: float = 3e-3  # of Adam at the start, of values in [0, 1]; at 2e-2 views that were kept out lose 1.7 dB
     network_rate: float = 1e-3  # of the network's weights
     final_rate: float = 0.1  # rates at the end, as a share of those at the start; they decay exponentially
     evaluations: int = 6  # on the views that are kept out, over the whole fit
-    patience: int = 2  # evaluations without a gain after which it stops
+    patience: int = 4  # evaluations without a gain after which it stops; on fine grids most is gained when the rate is low
     seed: int = 0  # of the choice of pixels and their order
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which images with alpha are fitted
 
@@ -126,7 +127,8 @@ class _Fit:
         settings, correct = self.settings, self.scene.opacity_correction
         moments = jax.tree.map(jnp.zeros_like, (self.fitted, self.fitted))
         near = Neighbourhoods(len(self.voxels.stored))
-        steps = settings.passes * sum(1 for _ in batch_ends(self.training, np.arange(len(self.training)), settings.batch))
+        in_pass = sum(1 for _ in batch_ends(self.training, np.arange(len(self.training)), settings.batch))
+        steps = min(settings.passes * in_pass, -(-settings.rays * in_pass // len(self.training)))
         every, step = -(-steps // settings.evaluations), 0
         for step, batch in enumerate(self.batches(), 1):
             rows, corners = near(batch.corners)
@@ -138,7 +140,7 @@ class _Fit:
             self.tell()
             if step % every == 0 or step == steps:
                 self.compare()
-            if self.without_gain >= settings.patience:
+            if self.without_gain >= settings.patience or step == steps:
                 break
         before, after = psnr(self.first), psnr(self.least)
         return {"psnr_before": before, "psnr_after": after, "gain_db": after - before, "steps": step}

@@ -16,9 +16,9 @@ from ..rendering.render import TILE, MarchSettings, march_rays
 from ..scene.blocks import CELL_VOXELS, fill_aprons
 from ..scene.scene import Scene
 
-# Pixels of all training views, of which those that hit the scene are fitted to; it bounds the memory (100 bytes a pixel that hits) and the
-# time. Here, because the cost model needs it without JAX.
-FIT_PIXELS = 4_000_000
+# Of a fit; here, because the cost model needs them without JAX. Pixels of all training views, of which those that hit the scene are fitted
+# to (it bounds the memory), and how many rays are fitted to in all: other pixels gain more than the same ones again.
+FIT_PIXELS, FIT_RAYS, FIT_PASSES = 8_000_000, 2_500_000, 2
 STOP_TRANSMITTANCE = 0.01  # rays end here: what lies behind has hardly a gradient, and takes a third of the samples
 MAX_SAMPLES = 2**25  # of all views, 11 to 15 bytes each; where there would be more, rays are left out
 MAX_RAY_SAMPLES = 256  # of a ray; rays with more, through fog, are left out: without its last samples a ray has another colour

@@ -95,7 +95,7 @@ def add_bake_options(parser: argparse._ActionsContainer) -> None:
         type=fraction,
         default=Finishing.prune,
         metavar="SHARE",
-        help="drop voxels with a smaller share of every training pixel, such as 0.01: fewer bytes (default: %(default)g, none)",
+        help="drop voxels with a smaller share of every training pixel, such as 0.004: fewer bytes (default: %(default)g, none)",
     )
 
 

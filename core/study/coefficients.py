@@ -53,7 +53,7 @@ class Coefficients:
     recorded_ray: float = _coefficient(
         2.0, "rays", "time of a training ray whose samples are recorded over that of a ray of a preview: they are scattered", BY_HAND
     )
-    fitted_ray: float = _coefficient(13.0, "rays", "time of fitting voxels to a marched ray in rays of a preview, both passes", BY_HAND)
+    fitted_ray: float = _coefficient(6.0, "rays", "time of fitting voxels to a marched ray once, in rays of a preview", BY_HAND)
     fit_seconds: float = _coefficient(6.0, "s", "of fitting voxels, whatever the rays: compiling, and measuring views kept out", BY_HAND)
     fit_copies: float = _coefficient(6.0, "", "float copies of the fitted voxels: values, two moments and what a step makes", BY_HAND)
     fit_pixel_bytes: float = _coefficient(60.0, "bytes", "memory of a fit for each pixel marched: those that hit have ten samples", BY_HAND)

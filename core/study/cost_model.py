@@ -19,7 +19,7 @@ from ..baking.finish import DEFAULT_FINISHING, FINISHING_STAGES, Finishing
 from ..baking.memory import count_blocks
 from ..baking.occupied_voxels import candidate_blocks
 from ..baking.prune import PRUNING_PIXELS
-from ..baking.ray_samples import FIT_PIXELS
+from ..baking.ray_samples import FIT_PASSES, FIT_PIXELS, FIT_RAYS
 from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
 from ..data.dataset import Dataset
 from ..export.codecs import PNG, CodecSettings
@@ -34,6 +34,7 @@ from .coefficients import DEFAULT_COEFFICIENTS, Coefficients
 from .field_probe import FieldProbe, visibility_rays
 
 DEFAULT_BAKE = BakeSettings()
+HIT_SHARE = 0.4  # of a training view's pixels, about, that hit the scene
 PRIOR_POINTS = 8  # weight of the whole field's share, in points, against that of the points inside a box: matters for small boxes
 # Bytes of lossless codecs over those of PNG, of colours with alpha and of features: two scenes of 300 and 500 voxels.
 BYTES_OVER_PNG = {"png": (1.0, 1.0), "webp": (0.8, 0.94), "jxl": (0.72, 0.84)}
@@ -195,10 +196,11 @@ def _finishing_seconds(probe: FieldProbe, finishing: Finishing, network: bool, r
     if not field.dataset:
         return {}
     views = probe.rates.preview_view * len(field.cameras)
-    fitted, pruned = min(pixels, FIT_PIXELS), min(pixels, PRUNING_PIXELS)
+    marched, pruned = min(pixels, FIT_PIXELS), min(pixels, PRUNING_PIXELS)
+    fitted = min(FIT_PASSES * marched, FIT_RAYS / HIT_SHARE)
     seconds = {
         "prune": views + coefficients.recorded_ray * ray * pruned,
-        "fit": coefficients.fit_seconds + views + (coefficients.recorded_ray + coefficients.fitted_ray) * ray * fitted,
+        "fit": coefficients.fit_seconds + views + (coefficients.recorded_ray * marched + coefficients.fitted_ray * fitted) * ray,
         "refine": coefficients.refine_seconds + views + ray * coefficients.refine_pixels,
     }
     return {name: seconds[name] for name in finishing.stages(network)}
