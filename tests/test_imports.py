@@ -12,11 +12,6 @@ JAX_MODULES = {
     for name in (
         "baking.fine_tune",
         "baking.fit_voxels",
-        "study.measure",
-        "study.prepare",
-        "study.results",
-        "study.study",
-        "study.sweep",
         "training.hierarchical_sampler",
         "training.non_finite",
         "training.occupancy_sampler",

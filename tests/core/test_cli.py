@@ -286,7 +286,7 @@ def test_options_reach_the_bake_and_the_march(monkeypatch):
     assert cli.main(["bake", "x", "--out", "y", "--voxel-size", "0.1", "--samples", "auto", *compared]) == 0
     assert cli.main(["bake", "x", "--out", "y", "--resolution", "90", "--samples", "3", "--no-network", "--codec", "jpeg"]) == 0
     assert seen[0][2] == BakeSettings(voxel_size=0.1, quantise=False, visibility=False) and seen[0][4] is False
-    assert seen[1][2] == BakeSettings(90, 3, network=False) and seen[1][4] is True and seen[1][-1].name == "jpeg"
+    assert seen[1][2] == BakeSettings(90, 3, network=False) and seen[1][4] is True and seen[1][6].name == "jpeg"
     assert cli.main(["eval", "x", "--tolerance", "0.01"]) == 0
     assert cli.main(["render", "x", "--cameras", "y", "--out", "z", "--per-sample-network"]) == 0
     assert seen[2][-1] == MarchSettings(tolerance=0.01) and seen[3][-2:] == (MarchSettings(per_sample_network=True), None)

@@ -110,7 +110,7 @@ def test_what_is_left_out_is_not_counted(probed):
     assert estimate(probed, BOX, BakeSettings(resolution=200, supersampling=8)).bake > whole.bake
     assert 0.2 < estimate(probed, BOX, size=(400, 400)).preview / estimate(probed, BOX).preview < 0.4
     trained = replace(probed, field=replace(probed.field, dataset="photos"))
-    refined, unrefined = (estimate(trained, BOX, refine=refine) for refine in (True, False))
+    refined, unrefined = (estimate(trained, BOX, finishing=Finishing(refine=refine)) for refine in (True, False))
     assert refined.peak_megabytes > unrefined.peak_megabytes and refined.seconds.keys() - unrefined.seconds.keys() == {"refine"}
 
 
