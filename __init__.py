@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .core.baking.bake import BakeSettings
     from .core.data.dataset import Dataset, DatasetOptions
     from .core.data.load import read_dataset
-    from .core.data.readers.transforms import read_cameras
+    from .core.data.readers.camera_files import read_cameras
     from .core.errors import Cancelled, SnergError
     from .core.geometry.box import Box
     from .core.geometry.camera import Camera
@@ -29,7 +29,7 @@ _WHERE = {
     "baking.bake": ("BakeSettings",),
     "data.dataset": ("Dataset", "DatasetOptions"),
     "data.load": ("read_dataset",),
-    "data.readers.transforms": ("read_cameras",),
+    "data.readers.camera_files": ("read_cameras",),
     "errors": ("Cancelled", "SnergError"),
     "geometry.box": ("Box",),
     "geometry.camera": ("Camera",),

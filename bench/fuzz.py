@@ -62,8 +62,8 @@ def subjects() -> list[Subject]:
     from scenes import make_cameras, make_snerg, random_network
     from snerg.core.baking.resume import ResumeCache
     from snerg.core.data.load import read_dataset
+    from snerg.core.data.readers.camera_files import read_cameras, write_transforms
     from snerg.core.data.readers.ply import read_ply
-    from snerg.core.data.readers.transforms import read_cameras, write_transforms
     from snerg.core.export.bundle import cameras_json
     from snerg.core.export.codecs import CodecSettings
     from snerg.core.export.reference import read_reference, write_reference

@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from ..core.data.readers.transforms import write_transforms
+from ..core.data.readers.camera_files import write_transforms
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
 from ..snerg_addon.capture import core_cameras

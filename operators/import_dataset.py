@@ -11,7 +11,8 @@ import numpy as np
 
 from ..core.data.dataset import Dataset, DatasetOptions, View
 from ..core.data.load import read_dataset
-from ..core.data.readers.transforms import has_pictures, read_cameras
+from ..core.data.readers.camera_files import read_cameras
+from ..core.data.readers.transforms import has_pictures
 from ..core.geometry.camera import Camera
 from ..core.io.images import quarter_turn
 from ..core.io.json_files import read_edited_json

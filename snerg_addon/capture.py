@@ -15,7 +15,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..core.data.readers.transforms import intrinsics_json, write_transforms
+from ..core.data.readers.camera_files import write_transforms
+from ..core.data.readers.transforms_camera import intrinsics_json
 from ..core.errors import SnergError
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera

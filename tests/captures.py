@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from scenes import looking, rotation
-from snerg.core.data.readers.transforms import intrinsics_json
+from snerg.core.data.readers.transforms_camera import intrinsics_json
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.io.images import write_png

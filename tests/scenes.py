@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import to_uint8, write_png

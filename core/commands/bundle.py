@@ -8,7 +8,7 @@ from typing import Any
 
 from ..artifact import Result, kind_of
 from ..data.camera_world import in_training_world
-from ..data.readers.transforms import read_cameras
+from ..data.readers.camera_files import read_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
 from ..export.page_settings import BACKGROUNDS, PLAIN, PageSettings

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..artifact import Result
 from ..data.camera_world import in_training_world
-from ..data.readers.transforms import read_cameras
+from ..data.readers.camera_files import read_cameras
 from ..geometry.camera import Camera
 from ..io.files import new_folder
 from ..io.images import png_bytes, to_uint8

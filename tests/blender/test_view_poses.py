@@ -12,7 +12,7 @@ import pytest
 from mathutils import Vector
 from stage import add_camera, add_plane
 
-from snerg.core.data.readers.transforms import read_cameras
+from snerg.core.data.readers.camera_files import read_cameras
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.io.images import read_image

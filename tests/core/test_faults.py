@@ -16,7 +16,7 @@ from snerg.core.baking.resume import ResumeCache
 from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.export import export_reference
 from snerg.core.commands.import_artifact import import_source
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import read_scene, write_scene

@@ -9,7 +9,7 @@ import pytest
 from captures import ring
 from PIL import Image
 
-from snerg.core.data.readers.transforms import intrinsics_json
+from snerg.core.data.readers.transforms_camera import intrinsics_json
 
 CORNERS = {(0, 0): (220, 0, 0), (0, 1): (0, 200, 0), (1, 0): (0, 0, 220), (1, 1): (60, 60, 60)}  # colours by (row, column) of a quarter
 STORED = {5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_90, 7: Image.Transpose.TRANSVERSE, 8: Image.Transpose.ROTATE_270}

@@ -14,7 +14,8 @@ from ...io.paths import inside
 from ..dataset import DatasetOptions, Source, View
 from ..image_resolver import check_distinct, find_image, image_folder, images_in, scaled_to, size_for
 from ..left_out import LeftOut, about_one_view
-from .colmap import largest_model, read_model
+from .colmap import largest_model
+from .colmap_model import read_model
 
 FILE = "poses_bounds.npy"
 MAX_BYTES = 2**26  # 490,000 views

@@ -18,7 +18,7 @@ from ...io.json_files import read_edited_json
 from ..dataset import DatasetOptions, Source
 from ..depth import DepthFile
 from ..image_resolver import images_in
-from .colmap import world_to_camera
+from .colmap_model import world_to_camera
 from .photographs import Listed, Photograph, read_photographs
 
 FILES = ("metadata.json", "metadata")  # of the export, of an unpacked .r3d

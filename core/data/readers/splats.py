@@ -14,9 +14,9 @@ from ...errors import SnergError
 from ...io.json_files import read_edited_json
 from ..dataset import DatasetOptions, Source
 from ..image_resolver import has_image_folder, image_folder
+from .camera_files import read_splat_camera
 from .photographs import Listed, Photograph, read_photographs
 from .ply import read_ply
-from .transforms import read_splat_camera
 
 FILE = "cameras.json"
 POINTS = "input.ply"  # the points of structure from motion, which training copies beside its result

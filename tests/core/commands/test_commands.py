@@ -21,7 +21,7 @@ from snerg.core.commands.render import file_names, render_views
 from snerg.core.commands.train import train_field
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.reference import write_reference

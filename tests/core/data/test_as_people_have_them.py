@@ -18,7 +18,7 @@ from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.image_resolver import find_image
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import read_cameras
+from snerg.core.data.readers.camera_files import read_cameras
 from snerg.core.errors import SnergError
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.io.images import write_png

@@ -12,7 +12,7 @@ from captures import apply, moved, ring, similarity, thing, write_colmap, write_
 from snerg.core.data.camera_world import in_training_world
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import read_cameras
+from snerg.core.data.readers.camera_files import read_cameras
 from snerg.core.errors import SnergError
 
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])  # as ns-process-data turns COLMAP's world

@@ -22,7 +22,7 @@ from captures import ring, thing, write_colmap, write_ngp
 from snerg.core.artifact import kind_of
 from snerg.core.data.dataset import Dataset, DatasetOptions
 from snerg.core.data.load import read_dataset, read_split
-from snerg.core.data.readers.transforms import read_cameras
+from snerg.core.data.readers.camera_files import read_cameras
 from snerg.core.errors import SnergError
 from snerg.core.io.images import write_png
 

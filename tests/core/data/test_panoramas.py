@@ -14,7 +14,7 @@ from captures import apply, moved, pictures, similarity, thing, write_colmap, wr
 from scenes import looking
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import read_cameras, write_transforms
+from snerg.core.data.readers.camera_files import read_cameras, write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera, panorama_focal
 from snerg.core.geometry.distortion import Distortion

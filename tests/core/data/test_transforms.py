@@ -10,7 +10,7 @@ from captures import huge_png
 
 from scenes import make_cameras, make_dataset
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import read_cameras, write_transforms
+from snerg.core.data.readers.camera_files import read_cameras, write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.io.images import linear_to_srgb, png_bytes, read_image, read_size, srgb_to_linear, write_png

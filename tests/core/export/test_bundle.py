@@ -11,7 +11,7 @@ from snerg.core.cli import main
 from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.export import export_reference
 from snerg.core.commands.render import render_views
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
 from snerg.core.export.reference import reference_files, write_reference

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from snerg.core.data.readers.transforms import read_cameras
+from snerg.core.data.readers.camera_files import read_cameras
 from snerg.core.errors import MAX_MESSAGE, Cancelled, SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.io.guard import read_arrays, reading

@@ -16,7 +16,7 @@ import pytest
 from scenes import make_cameras, make_dataset, make_snerg
 from snerg.core import cli
 from snerg.core.commands.train import train_field
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.errors import EXIT_STOPPED, Cancelled
 from snerg.core.export.reference import write_reference
 from snerg.core.export.scene_files import write_scene

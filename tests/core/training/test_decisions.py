@@ -8,7 +8,7 @@ import pytest
 
 from scenes import looking
 from snerg.core.data.load import read_dataset
-from snerg.core.data.readers.transforms import write_transforms
+from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
