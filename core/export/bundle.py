@@ -58,7 +58,6 @@ def write_bundle(
     """
     check_showable(scene, codec, single_file)
     files = viewer_files()
-    alternatives = (replace(codec, name="webp"),) if codec.name == "jxl" else ()
     cameras = [camera for camera in cameras if not camera.is_wide]
     poster = poster_bytes(scene, cameras[0], page, _share(progress, 0.0, POSTER_SHARE, "Rendering the poster")) if cameras else None
     progress = _share(progress, POSTER_SHARE, 1.0)
@@ -70,11 +69,7 @@ def write_bundle(
         if coarse:
             (data / "coarse").mkdir()
             write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
-        if source is None or alternatives:
-            (data / "scene").mkdir()
-            write_scene_files(scene, data / "scene", progress, codec, alternatives)
-        else:
-            one_generation(source, lambda: _copy_scene(source, data / "scene", codec))
+        _write_scene(scene, data / "scene", codec, source, progress)
 
     with new_folder(folder) as temporary:
         if single_file:
@@ -98,6 +93,15 @@ def _share(progress: Progress, low: float, high: float, text: str = "") -> Progr
         progress(low + fraction * (high - low), text or what)
 
     return report
+
+
+def _write_scene(scene: Scene, folder: Path, codec: CodecSettings, source: Path | None, progress: Progress) -> None:
+    """Write the scene's files, or copy those of `source`. Of JPEG XL, which not all browsers decode, WebP lies beside it."""
+    if source is not None and codec.name != "jxl":
+        one_generation(source, lambda: _copy_scene(source, folder, codec))
+        return
+    folder.mkdir()
+    write_scene_files(scene, folder, progress, codec, (replace(codec, name="webp"),) if codec.name == "jxl" else ())
 
 
 def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:

@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 import bpy
-import numpy as np
 import pytest
 
 from snerg.core.artifact import open_scene
