@@ -338,17 +338,16 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         name="Limit the Orbit", description="Bound how near and far, how low and high people may orbit the scene", default=False
     )
     orbit_distance: FloatVectorProperty(
-        name="Nearest, Farthest",
-        description="Distance from the point that is looked at",
+        name="Distance",
+        description="Nearest and farthest distance from the point that is looked at",
         size=2,
-        subtype="XYZ_LENGTH",
         unit="LENGTH",
         default=(1.0, 10.0),
         min=1e-4,
     )
     orbit_elevation: FloatVectorProperty(
-        name="Lowest, Highest",
-        description="Angle above the horizon",
+        name="Elevation",
+        description="Lowest and highest angle above the horizon",
         size=2,
         unit="ROTATION",
         default=(0.0, math.pi / 2),

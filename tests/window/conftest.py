@@ -62,7 +62,7 @@ class Blender:
         """Where a walk leaves what it saw."""
         return OUT / name
 
-    def walk(self, name: str, *arguments: object, seconds: float = 300) -> dict[str, Any]:
+    def walk(self, name: str, *arguments: object, seconds: float = 1200) -> dict[str, Any]:
         """Start it with a window, do what the function `name` of walks.py does there, and return what that saw.
 
         The console's output, the JSON and the screenshots stay in build/window/NAME.
@@ -72,7 +72,7 @@ class Blender:
         folder.mkdir(parents=True)
         return self.walk_on(name, folder, *arguments, seconds=seconds)
 
-    def walk_on(self, name: str, folder: Path, *arguments: object, seconds: float = 300) -> dict[str, Any]:
+    def walk_on(self, name: str, folder: Path, *arguments: object, seconds: float = 1200) -> dict[str, Any]:
         """The same in a folder that an earlier walk has filled."""
         script = ("--enable-event-simulate", "--python", str(HERE / "drive.py"), "--", name, str(folder), *map(str, arguments))
         result = self.run(*script, screen=True, seconds=seconds)
