@@ -13,6 +13,8 @@ def inside(root: Path, name: str, where: str) -> Path:
         root = root.resolve()
         path = (root / name).resolve()
         path.is_file()
+        if path.is_symlink():  # from Python 3.13 on, a cycle is resolved as far as it goes
+            raise OSError("a cycle of links")
     except (OSError, ValueError, RuntimeError) as error:  # a cycle of links, a name too long, a zero byte
         raise SnergError(f"{where} names {name[:200]!r}, which is no path ({error}); rename the file.") from error
     if not path.is_relative_to(root):
