@@ -2,7 +2,7 @@
 import { asViewerError, defineElement, type SnergViewerElement } from "../index";
 import { readView, writeView } from "../viewer/shared_view";
 
-const STILL = 250; // milliseconds without a change after which the address follows the view
+const WRITE_DELAY = 250; // milliseconds without a change after which the address follows the view
 
 /** The options in the address: ?camera=NAME_OR_INDEX&background=black&width=W&height=H&ui=none. Those after # take precedence. */
 function addressOptions(): URLSearchParams {
@@ -50,7 +50,7 @@ element.addEventListener("view", () => {
     if (!element.bar) return;
     const parameters = writeView(new URLSearchParams(location.hash.slice(1)), element.bar.view);
     history.replaceState(history.state, "", `#${parameters}`);
-  }, STILL);
+  }, WRITE_DELAY);
 });
 const showAddressed = () => element.bar?.show(readView(addressOptions()));
 element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
