@@ -40,7 +40,6 @@ def stage(scene, tmp_path):
 
 def rendered(scene) -> np.ndarray:
     """F12's picture [H, W, 4] uint8, straight alpha."""
-    scene.render.image_settings.color_mode = "RGBA"
     bpy.ops.render.render(write_still=True)
     return read_image(Path(scene.render.filepath))
 
