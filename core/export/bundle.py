@@ -20,7 +20,7 @@ from ..geometry.camera import Camera
 from ..io.files import MARK, new_folder
 from ..io.generation import one_generation
 from ..io.json_files import json_bytes, read_json
-from ..progress import Progress, silent
+from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
@@ -59,8 +59,9 @@ def write_bundle(
     check_showable(scene, codec, single_file)
     files = viewer_files()
     cameras = [camera for camera in cameras if not camera.is_wide]
-    poster = poster_bytes(scene, cameras[0], page, _share(progress, 0.0, POSTER_SHARE, "Rendering the poster")) if cameras else None
-    progress = _share(progress, POSTER_SHARE, 1.0)
+    rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
+    poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
+    writing = within(progress, POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
@@ -69,7 +70,7 @@ def write_bundle(
         if coarse:
             (data / "coarse").mkdir()
             write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
-        _write_scene(scene, data / "scene", codec, source, progress)
+        _write_scene(scene, data / "scene", codec, source, writing)
 
     with new_folder(folder) as temporary:
         if single_file:
@@ -84,15 +85,6 @@ def write_bundle(
             write_data(temporary)
         written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
-
-
-def _share(progress: Progress, low: float, high: float, text: str = "") -> Progress:
-    """A `progress` for the part of the work from `low` to `high`. text: shown in place of its own."""
-
-    def report(fraction: float, what: str, /) -> None:
-        progress(low + fraction * (high - low), text or what)
-
-    return report
 
 
 def _write_scene(scene: Scene, folder: Path, codec: CodecSettings, source: Path | None, progress: Progress) -> None:

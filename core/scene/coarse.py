@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates, fill_aprons, number_blocks, pack_mask, touched_blocks
+from .blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates, fill_aprons, number_blocks, pack_mask, reindex_blocks, touched_blocks
 from .scene import Scene, blocks_of
 
 FACTOR = 4  # voxels along an axis that become one; a coarse block then covers 4^3 whole blocks
@@ -26,14 +26,14 @@ def coarse_scene(scene: Scene) -> Scene:
     used[tuple((fine // FACTOR).T)] = True
     indirection = number_blocks(used)
     values = np.zeros((int(used.sum()), *(DATA_VOXELS,) * 3, scene.cells.shape[-1]), np.uint8)
-    for row, coordinates in enumerate(block_coordinates(indirection)):
-        inside = np.flatnonzero((fine // FACTOR == coordinates).all(axis=-1))
-        values[row] = _mean_block(scene, fine[inside] - FACTOR * coordinates, inside)
-    mask = pack_mask(values.any(axis=-1))
-    kept = number_blocks(touched_blocks(mask, indirection))
-    cells = np.zeros((int(kept.max(initial=-1)) + 1, *(CELL_VOXELS,) * 3, scene.cells.shape[-1]), np.uint8)
-    both = (kept >= 0) & (indirection >= 0)
-    cells[kept[both], 1:-1, 1:-1, 1:-1] = values[indirection[both]]
+    numbers = indirection[tuple((fine // FACTOR).T)]  # of the coarse block in which each fine one lies
+    inside = np.split(np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers, minlength=len(values)))[:-1])
+    for row, rows in enumerate(inside[: len(values)]):
+        values[row] = _mean_block(scene, fine[rows] % FACTOR, rows)
+    kept = number_blocks(touched_blocks(pack_mask(values.any(axis=-1)), indirection))
+    own = reindex_blocks(values, indirection, kept)
+    cells = np.zeros((len(own), *(CELL_VOXELS,) * 3, own.shape[-1]), np.uint8)
+    cells[:, 1:-1, 1:-1, 1:-1] = own
     for _ in fill_aprons(cells, kept):
         pass
     return replace(scene, voxel_size=FACTOR * scene.voxel_size, shape=shape, indirection=kept, cells=cells, about={})
