@@ -13,7 +13,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, Route
 
 from scenes import make_cameras, make_snerg
 from snerg.core.errors import SnergError
@@ -173,6 +173,28 @@ def test_a_view_is_shared(page: Page, browser: Browser, made: Path, serve: Serve
     other.get_by_role("button", name="Reset view").click()
     assert near(picture(other), render_scene(make_snerg(shape=(34, 30, 40)), make_cameras()[0 if camera == "Front" else 2]).over((0, 0, 0)))
     other.close()
+
+
+def test_the_address_names_cameras_by_number_too(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=160&height=120") is None
+    page.evaluate("location.hash = 'camera=2'")
+    page.wait_for_url("**#*camera=Parallel*")
+    assert near(picture(page), truth(2))
+
+
+def test_a_viewer_that_is_closed_reads_nothing_more(page: Page, made: Path, serve: Serve) -> None:
+    """Also where its first scene is still on its way."""
+    asked: list[str] = []
+
+    def hold(route: Route) -> None:
+        asked.append(route.request.url)  # and never answered
+
+    page.route("**/scene/rgba_*.png", hold)
+    page.goto(serve(made))
+    while not asked:
+        page.wait_for_timeout(50)
+    with page.expect_event("requestfailed", lambda request: request.url == asked[0]):
+        page.evaluate("document.querySelector('snerg-viewer').remove()")
 
 
 def test_keys_zoom(page: Page, made: Path, serve: Serve) -> None:

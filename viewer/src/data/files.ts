@@ -118,6 +118,12 @@ export class EmbeddedFiles implements FileSource {
   }
 }
 
+/** The source of a folder's files: below an address, at hand, or a source already. */
+export function sourceOf(from: string | URL | SceneFiles | FileSource): FileSource {
+  if (typeof from === "string" || from instanceof URL) return new ServerFiles(from);
+  return "read" in from ? from : new ChosenFiles(from);
+}
+
 /** The value of a JSON file. Rejects with a ViewerError as the source does, or where the file is not JSON. */
 export async function readJson(source: FileSource, name: string, signal?: AbortSignal): Promise<unknown> {
   const bytes = await source.read(name, signal);

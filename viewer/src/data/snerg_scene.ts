@@ -1,5 +1,5 @@
 // A scene that is being read: its description at once, its texels slice by slice.
-import { ChosenFiles, type FileSource, type SceneFiles, ServerFiles } from "./files";
+import { type FileSource, type SceneFiles, sourceOf } from "./files";
 import { readIndirection, readScene, type SceneDescription } from "./scene";
 import { readSlice, type SliceTexels, sliceCount } from "./slices";
 
@@ -68,9 +68,4 @@ export class SnergScene {
     this.bytes += bytes.length;
     return bytes;
   }
-}
-
-function sourceOf(from: string | URL | SceneFiles | FileSource): FileSource {
-  if (typeof from === "string" || from instanceof URL) return new ServerFiles(from);
-  return "read" in from ? from : new ChosenFiles(from);
 }

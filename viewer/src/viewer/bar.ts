@@ -1,8 +1,8 @@
 // The bar below the picture: cameras, backgrounds, sharing, pictures, full screen, and the keys for them.
 import { BACKGROUNDS, colourOf, type SharedView, writeView } from "./shared_view";
-import type { Viewer } from "./viewer";
+import { findCamera, type Viewer } from "./viewer";
 
-const MAX_SIDE = 8192; // pixels of a picture that is saved
+export const MAX_SIDE = 8192; // pixels of a picture that may be asked for
 const LINK_SHOWN = 2000; // milliseconds that "Copied" stays
 
 export class Bar {
@@ -48,7 +48,7 @@ export class Bar {
   /** Show what a link says; what it does not say stays. */
   show(view: SharedView): void {
     if (view.background) this.setBackground(view.background);
-    const index = this.viewer.cameras.findIndex((camera) => camera.name === view.camera);
+    const index = findCamera(this.viewer.cameras, view.camera);
     if (index >= 0) this.choose(index);
     if (view.pose) this.viewer.lookFrom(view.pose, view.zoom);
   }

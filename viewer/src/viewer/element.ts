@@ -1,13 +1,12 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
-import { Bar } from "./bar";
+import { Bar, MAX_SIDE } from "./bar";
 import { colourOf } from "./shared_view";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
 
 const HINT_SHOWN = 1500; // milliseconds
-const MAX_SIZE = 8192; // pixels of a side that may be asked for
 
 /**
  * Shows the scene of a bundle. Attributes, which are read when it is put into the page:
@@ -157,7 +156,7 @@ export class SnergViewerElement extends HTMLElement {
   }
 
   private fixedSize(): { width: number; height: number } | undefined {
-    const [width, height] = ["width", "height"].map((key) => Math.min(Number.parseInt(this.getAttribute(key) ?? "", 10) || 0, MAX_SIZE));
+    const [width, height] = ["width", "height"].map((key) => Math.min(Number.parseInt(this.getAttribute(key) ?? "", 10) || 0, MAX_SIDE));
     return width > 0 && height > 0 ? { width, height } : undefined;
   }
 

@@ -1,8 +1,6 @@
 // Renders a scene of three.js when it changes, and only then. A slow device (software GL) renders a draft at low resolution while the view
 // moves, then the full image in bands of rows: the page stays responsive, and no draw call exceeds a driver's time limit.
 import {
-  BufferAttribute,
-  BufferGeometry,
   type Camera,
   GLSL3,
   LinearFilter,
@@ -17,6 +15,7 @@ import {
   type WebGLRenderer,
   WebGLRenderTarget,
 } from "three";
+import { COVERING_VERTEX_SHADER, coveringTriangle } from "../volume/full_screen";
 
 const BUDGET = 30; // milliseconds of rendering at a time
 const STILL_AFTER = 120; // milliseconds without change before the full image is begun
@@ -30,7 +29,6 @@ uniform vec2 size;
 out vec4 colour;
 void main() { colour = texture(image, gl_FragCoord.xy / size); }
 `;
-const VERTEX_SHADER = "in vec3 position;\nvoid main() { gl_Position = vec4(position.xy, 0.0, 1.0); }\n";
 const CAMERA = new OrthographicCamera(); // three wants one; the vertex shader does not use it
 
 /** An image that is on the page. */
@@ -234,10 +232,8 @@ export class ProgressiveRenderer {
 
 /** A triangle that covers the image, with a fragment shader. */
 function fullScreen<T extends Record<string, { value: unknown }>>(fragmentShader: string, uniforms: T): { scene: Scene; uniforms: T } {
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]), 3));
-  const settings = { glslVersion: GLSL3, vertexShader: VERTEX_SHADER, depthTest: false, depthWrite: false } as const;
-  const mesh = new Mesh(geometry, new RawShaderMaterial({ ...settings, fragmentShader, uniforms }));
+  const settings = { glslVersion: GLSL3, vertexShader: COVERING_VERTEX_SHADER, depthTest: false, depthWrite: false } as const;
+  const mesh = new Mesh(coveringTriangle(), new RawShaderMaterial({ ...settings, fragmentShader, uniforms }));
   mesh.frustumCulled = false;
   const scene = new Scene();
   scene.add(mesh);

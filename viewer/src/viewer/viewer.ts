@@ -1,7 +1,7 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
 import { readCameras, type SnergCamera } from "../data/cameras";
-import { EmbeddedFiles, type FileSource, ServerFiles } from "../data/files";
+import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
@@ -84,7 +84,6 @@ class CanvasViewer implements Viewer {
   private readonly world = new Scene();
   private readonly abort = new AbortController();
   private readonly listeners = new Map<string, Set<(event: never) => void>>();
-  private readonly loaded = { slices: 0, totalSlices: 0, bytes: 0 };
   private renderer: ProgressiveRenderer | null = null;
   private view: View | null = null;
   private volume: SnergVolume | null = null;
@@ -114,8 +113,8 @@ class CanvasViewer implements Viewer {
 
   private async load(): Promise<void> {
     const { signal } = this.abort;
-    const source = sourceOf(this.options.src);
-    const onProgress = (progress: LoadProgress) => this.emit("progress", Object.assign(this.loaded, progress));
+    const source = this.options.src ? sourceOf(this.options.src) : ownFiles();
+    const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
     const [{ cameras, coarse }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
@@ -132,6 +131,7 @@ class CanvasViewer implements Viewer {
   /** Show a scene in place of the one before, when all of it is on the card. */
   private async show(scene: SnergScene): Promise<void> {
     const volume = new SnergVolume(scene, { srgbTargets: true });
+    this.abort.signal.addEventListener("abort", () => volume.dispose(), { once: true }); // also while it is being read
     await volume.load(this.webgl);
     if (this.volume) {
       this.world.remove(this.volume);
@@ -247,7 +247,6 @@ class CanvasViewer implements Viewer {
     this.abort.abort(new ViewerError("The viewer was closed."));
     this.observer.disconnect();
     this.renderer?.dispose();
-    this.volume?.dispose();
     this.view?.controls.dispose();
     this.webgl.dispose();
     this.canvas.remove();
@@ -317,10 +316,8 @@ export function findCamera(cameras: readonly SnergCamera[], text: string | null)
   return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
 }
 
-function sourceOf(src: string | URL | FileSource | undefined): FileSource {
-  if (src === undefined || src === "") return EmbeddedFiles.areThere() ? new EmbeddedFiles("") : new ServerFiles(".");
-  return typeof src === "string" || src instanceof URL ? new ServerFiles(src) : src;
-}
+/** Without an address, the files inside the page, or else those beside it. */
+const ownFiles = (): FileSource => (EmbeddedFiles.areThere() ? new EmbeddedFiles("") : new ServerFiles("."));
 
 function makeRenderer(canvas: HTMLCanvasElement, fail: (error: ViewerError) => void): WebGLRenderer {
   const options = { alpha: true, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" } as const;

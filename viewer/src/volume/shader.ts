@@ -2,6 +2,7 @@
 // shader has no network and no feature textures; a scene that is not forward-facing has no NDC code.
 import { Matrix3 } from "three";
 import { CELL_VOXELS, DATA_VOXELS, type NetworkWeights, positionOf, type SceneDescription } from "../data/scene";
+import { COVERING_VERTEX_SHADER } from "./full_screen";
 import march from "./march.glsl";
 import ndc from "./ndc.glsl";
 import { fillTemplate } from "./template";
@@ -9,7 +10,7 @@ import { fillTemplate } from "./template";
 /** The box of a scene; z is left out, so that the camera's clip planes cut no face off. A forward-facing scene covers the image. */
 export const vertexShader = (scene: SceneDescription): string =>
   scene.ndc
-    ? "in vec3 position;\nvoid main() { gl_Position = vec4(position.xy, 0.0, 1.0); }\n"
+    ? COVERING_VERTEX_SHADER
     : "uniform mat4 clipFromGrid;\nin vec3 position;\nvoid main() { gl_Position = clipFromGrid * vec4(position, 1.0); gl_Position.z = 0.0; }\n";
 
 const glslFloat = (value: number) => Math.fround(value).toExponential(9);

@@ -3,8 +3,7 @@ import {
   AlwaysDepth,
   BackSide,
   BoxGeometry,
-  BufferAttribute,
-  BufferGeometry,
+  type BufferGeometry,
   type Camera,
   CustomBlending,
   GLSL3,
@@ -25,6 +24,7 @@ import type { SceneDescription } from "../data/scene";
 import type { SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { Atlas, type AtlasTextures } from "./atlas";
+import { coveringTriangle } from "./full_screen";
 import { raySpacePose, raySpaceUnit, similarity, viewUniforms } from "./pose";
 import { SceneDepth } from "./scene_depth";
 import { fragmentShader, vertexShader } from "./shader";
@@ -172,11 +172,7 @@ function freeUnits(renderer: WebGLRenderer, textures: AtlasTextures): number {
 
 /** The box of the grid, in voxels; of a forward-facing scene a triangle that covers the image. */
 function boxOf(scene: SceneDescription): BufferGeometry {
-  if (scene.ndc) {
-    const geometry = new BufferGeometry();
-    geometry.setAttribute("position", new BufferAttribute(new Float32Array([-1, -1, 0, 3, -1, 0, -1, 3, 0]), 3));
-    return geometry;
-  }
+  if (scene.ndc) return coveringTriangle();
   const [x, y, z] = scene.shape;
   return new BoxGeometry(x, y, z).translate(x / 2, y / 2, z / 2);
 }
