@@ -211,7 +211,7 @@ def no_dataset(project: Project, name: str = "") -> str:
     """A sentence that says why the folder to train on is no dataset; '' where it is one. name: shown in place of its path."""
     if project.has("dataset"):
         return ""
-    return f"{name or project.dataset} holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there"
+    return f"{name or project.dataset} holds no dataset: no transforms.json, poses_bounds.npy, COLMAP model or other known export is there"
 
 
 def project_of(scene: bpy.types.Scene) -> Project:

@@ -76,7 +76,7 @@ def name_a_pattern_without_a_meaning(_scene: Any, _folder: Path) -> None:
 
 
 WRONG: dict[Callable[[Any, Path], None], str] = {
-    train_on_holidays: "holidays holds no dataset: no transforms.json, poses_bounds.npy or COLMAP model is there",
+    train_on_holidays: "holidays holds no dataset: no transforms.json, poses_bounds.npy, COLMAP model or other known export is there",
     drop_any_json: "package.json has no frames; a dataset needs at least one image with its camera",
     import_a_field_as_a_dataset: "theirs is a field, not a dataset; use Import Field for it",
     fit_a_flat_box: "The box has no volume; scale it above 0 on all three axes",
