@@ -33,6 +33,8 @@ def page_html(template: str, settings: PageSettings, poster: str | None) -> str:
         attributes["distance"] = pair(settings.distance)
     if settings.elevation:
         attributes["elevation"] = pair(settings.elevation)
+    if settings.play:
+        attributes["play"] = ""
     tag = "".join(f' {name}="{html.escape(value)}"' for name, value in attributes.items())
     heading = HEADING.replace("SNeRG", html.escape(settings.title or "SNeRG"))
     return template.replace(TITLE, _head(settings, poster)).replace(HEADING, heading).replace(ELEMENT, f"{ELEMENT[:-1]}{tag}>")

@@ -20,6 +20,8 @@ class PageSettings:
     distance: tuple[float, float] | None = None  # nearest and farthest orbit, in units of the scene, from the point that is looked at
     elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
 
+    play: bool = False  # whether the page's camera path plays as soon as the scene is there
+
     def __post_init__(self) -> None:
         if self.background not in BACKGROUNDS:
             raise SnergError(f"There is no background {self.background!r}; choose from {', '.join(BACKGROUNDS)}.")
