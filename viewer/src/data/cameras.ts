@@ -22,11 +22,12 @@ export interface SnergCamera {
 export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
+  path: boolean; // whether it has a camera path, in path.json
 }
 
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
 export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown } | null;
+  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown; path?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
@@ -35,7 +36,7 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
-  return { cameras, coarse: value.coarse === true };
+  return { cameras, coarse: value.coarse === true, path: value.path === true };
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {
