@@ -298,6 +298,16 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         ],
         default="ALL",
     )
+    web_path: BoolProperty(
+        name="Camera Move",
+        description="Let the page play the active camera over the frame range, with a cut at each marker that has a camera",
+        default=True,
+    )
+    web_play: BoolProperty(
+        name="Play at Once",
+        description="Play the camera move as soon as the scene is there, except for people who asked their device for less motion",
+        default=False,
+    )
     codec: EnumProperty(
         name="Image Format",
         description="Format of the web page's images. Opacity is always stored lossless",

@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..camera_move import counted, may_move
 from ..project import project_of
 from ..properties import LOSSY
 from .layout import Step, draw_box, joined, megabytes
@@ -24,6 +25,7 @@ class ExportStep(Step):
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the buttons, and the size of what was exported."""
         layout.prop(settings, "web_cameras")
+        draw_move(layout, settings, context.scene)
         column = layout.column(align=True)
         column.prop(settings, "codec")
         if settings.codec in LOSSY:
@@ -43,6 +45,22 @@ class ExportStep(Step):
         )
         if project.has("web"):
             layout.operator("snerg.open_page", icon="WORLD")
+
+
+def draw_move(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
+    """Whether the page plays the animated camera, and what that adds to it."""
+    moves = may_move(scene)
+    row = layout.row()
+    row.enabled = moves
+    row.prop(settings, "web_path", text="Camera Move" if moves else "Camera Move (none is animated)")
+    if not (moves and settings.web_path):
+        return
+    layout.prop(settings, "web_play")
+    known = counted(scene)
+    if known:
+        layout.label(text=known, icon="CAMERA_DATA")
+    else:
+        layout.operator("snerg.count_keyframes", icon="CAMERA_DATA")
 
 
 def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:

@@ -5,7 +5,7 @@ import { isArray, isPositiveInteger } from "../data/scene";
 import { EXPORT_AGAIN, ViewerError } from "../errors";
 
 const NEARLY_SAME = 1e-9; // radians between two quaternions below which spherical and linear interpolation are equal
-const LONGEST_STEP = 0.25; // seconds of the clock a picture at most: while a tab is hidden, the path stands still
+const LONGEST_STEP = 1; // seconds of the clock a picture at most: while a tab is hidden, the path stands still
 const MAX_SPEED = 16;
 
 /** A camera on a path. Pixels are counted from the top left corner; lengths are in units of the scene. */
