@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 from scipy.spatial.transform import Rotation
 
-from scenes import make_snerg
+from scenes import make_cameras, make_snerg
 from snerg.core.commands.bundle import bundle_scene
 from snerg.core.commands.render import render_views
 from snerg.core.errors import SnergError
+from snerg.core.export.bundle import write_bundle
+from snerg.core.export.page_settings import PageSettings
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
@@ -125,3 +130,191 @@ def test_rendering_the_frames_of_a_path(page: Page, made: Path, serve: Serve, tm
         assert np.abs(picture(page) - over).mean() < 0.7 / 255
     with pytest.raises(SnergError, match="one of both"):
         render_views(made / "scene", short, tmp_path / "none", path=short)
+
+
+def state(page: Page) -> dict[str, float]:
+    return dict(page.evaluate(f"{VIEWER}.state.path"))
+
+
+def wait_for(page: Page, condition: str) -> None:
+    """Until a condition of the path's state `p` holds."""
+    holds = f"(() => {{ const p = {VIEWER}.state.path; return {condition}; }})"
+    page.evaluate(f"new Promise((done) => {{ const ask = () => ({holds}() ? done() : setTimeout(ask, 10)); ask(); }})")
+
+
+def test_the_path_is_played_by_mouse_and_keys(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made / "web") + "?width=40&height=30") is None
+    assert not state(page)["playing"], "it waits for a person"
+    page.get_by_role("button", name="Play").click()
+    wait_for(page, "p.playing && p.frame > 3")
+    page.get_by_role("button", name="Pause").click()
+    stopped = state(page)
+    assert not stopped["playing"] and stopped["shown"]
+    page.wait_for_timeout(200)
+    assert state(page)["frame"] == stopped["frame"]
+    canvas, time = page.locator("#canvas"), page.get_by_role("slider", name="Time")
+    canvas.press(" ")
+    wait_for(page, "p.playing")
+    canvas.press(" ")
+    time.focus()
+    time.evaluate("slider => { slider.value = 13.5; slider.dispatchEvent(new Event('input')); }")
+    assert state(page)["frame"] == 13.5
+    for key, frame in (("ArrowRight", 14), ("ArrowRight", 15), ("ArrowLeft", 14), ("PageUp", 38), ("PageUp", 48), ("PageDown", 24)):
+        time.press(key)
+        assert state(page)["frame"] == frame
+    canvas.press(",")
+    canvas.press(",")
+    canvas.press(".")
+    assert state(page)["frame"] == 23 and time.get_attribute("aria-valuetext") == "0.9 of 2.0 seconds"
+    page.wait_for_url("**#*frame=23*")  # the address follows
+    page.get_by_role("combobox", name="Speed").select_option("4")
+    assert state(page)["speed"] == 4
+    canvas.press("l")
+    assert page.get_by_role("button", name="Loop").get_attribute("aria-pressed") == "false"
+    page.get_by_role("button", name="Play").click()
+    wait_for(page, "!p.playing && p.frame === 48")
+    page.get_by_role("button", name="Loop").click()
+    page.get_by_role("button", name="Play").click()
+    wait_for(page, "p.playing && p.frame < 40")  # it began again
+    page.mouse.move(20, 15)
+    page.mouse.down()
+    page.mouse.move(30, 15, steps=3)
+    page.mouse.up()
+    left = state(page)
+    assert not left["playing"] and not left["shown"], "a person who moves the view stops the path"
+    page.wait_for_url("**#*view=*")
+    assert "frame" not in parse_qs(urlsplit(page.url).fragment)
+    page.get_by_role("button", name="Play").click()
+    assert state(page)["frame"] >= left["frame"] or state(page)["frame"] < 20
+
+
+def test_the_interface_plays_pauses_and_tells(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made / "web") + "?width=40&height=30") is None
+    page.evaluate(f"window.told = []; {VIEWER}.on('path', (state) => window.told.push(state)); {VIEWER}.play()")
+    wait_for(page, "p.frame > 2")
+    page.evaluate(f"{VIEWER}.pause()")
+    told = page.evaluate("window.told")
+    assert told[0]["playing"] and not told[-1]["playing"]
+    assert all(later["frame"] >= earlier["frame"] for earlier, later in pairwise(told))
+    page.evaluate(f"{VIEWER}.path.seek(1e9)")
+    assert state(page)["frame"] == 48 and page.evaluate(f"{VIEWER}.state.camera") == "Flat"
+
+
+def test_a_path_that_plays_at_once_does_not_under_reduced_motion(browser: Browser, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(make_snerg((20, 20, 20)), make_cameras(), tmp_path / "web", page=PageSettings(play=True), path=make_path())
+    address = serve(tmp_path / "web") + "?width=40&height=30"
+    for motion, plays in (("no-preference", True), ("reduce", False)):
+        context = browser.new_context(viewport={"width": 300, "height": 300}, reduced_motion=motion)
+        page = context.new_page()
+        assert opened(page, address) is None
+        page.wait_for_timeout(100)
+        assert state(page)["playing"] == plays
+        page.get_by_role("combobox", name="Camera").select_option("Shifted, rolled")
+        assert page.evaluate(f"{VIEWER}.state.atCamera") == (not plays), "without motion, a flight is a cut"
+        picture(page)
+        assert page.evaluate(f"{VIEWER}.state.atCamera") and not state(page)["playing"]
+        if not plays:
+            page.get_by_role("button", name="Play").click()  # who asks for it gets it
+            wait_for(page, "p.playing && p.frame > 2")
+        context.close()
+
+
+def test_a_flight_ends_at_the_camera_and_a_person_may_end_it(page: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
+    scene, cameras = make_snerg(SHAPE), make_cameras()
+    write_bundle(scene, cameras, tmp_path / "web")
+    assert opened(page, serve(tmp_path / "web") + "?width=160&height=120") is None
+    assert page.evaluate(f"{VIEWER}.state.path") is None and page.locator("#path").count() == 0
+    page.evaluate(f"window.done = {VIEWER}.goTo(1, {{ duration: 0.4 }}).then(() => performance.now()); window.began = performance.now()")
+    page.wait_for_timeout(100)
+    assert not page.evaluate(f"{VIEWER}.state.atCamera")
+    shown = picture(page)
+    assert page.evaluate("window.done.then((done) => done - window.began)") >= 400
+    assert np.abs(shown - render_scene(scene, cameras[1]).over()).mean() < 0.5 / 255
+    page.evaluate(f"void {VIEWER}.goTo(0, {{ duration: 5 }})")
+    page.wait_for_timeout(100)
+    page.locator("#canvas").press("ArrowLeft")
+    page.evaluate("window.snerg.settled()")
+    assert not page.evaluate(f"{VIEWER}.state.atCamera")
+    pose = page.evaluate(f"{VIEWER}.state.cameraToWorld")
+    page.wait_for_timeout(100)
+    assert pose == page.evaluate(f"{VIEWER}.state.cameraToWorld"), "it stays where the person put it"
+
+
+def test_only_a_page_with_a_path_holds_its_code(page: Page, made: Path, tmp_path: Path) -> None:
+    """Beside the page, and inside it under a policy that allows each script by its hash."""
+    scene = make_snerg((20, 20, 20))
+    write_bundle(scene, make_cameras(), tmp_path / "without")
+    write_bundle(scene, make_cameras(), tmp_path / "alone", single_file=True)
+    assert not {"path.js", "path.json"} & {path.name for path in (tmp_path / "without").iterdir()}
+    for text in ((tmp_path / "without" / name).read_text() for name in ("index.html", "viewer.js", "cameras.json")):
+        assert 'aria-label="Time"' not in text and 'path.js"' not in text
+    assert 'aria-label="Time"' in (made / "web" / "path.js").read_text()
+    write_bundle(scene, make_cameras(), tmp_path / "one", single_file=True, path=make_path())
+    assert [path.name for path in (tmp_path / "one").iterdir() if path.name != ".snerg"] == ["index.html"]
+    more = (tmp_path / "one" / "index.html").stat().st_size - (tmp_path / "alone" / "index.html").stat().st_size
+    assert 5_000 < more < 20_000
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    assert opened(page, (tmp_path / "one" / "index.html").as_uri() + "?width=160&height=120#frame=13.5") is None
+    truth = render_scene(scene, make_path().camera_at(13.5)).over()
+    assert np.abs(picture(page) - truth).mean() < 0.5 / 255 and said == []
+
+
+def test_a_page_of_a_path_alone_opens_at_its_first_frame(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made / "web") + "?width=160&height=120") is None
+    assert np.abs(picture(page) - render_scene(make_snerg(SHAPE), make_path().camera_at(1)).over()).mean() < 0.5 / 255
+    assert (made / "web" / "poster.webp").is_file()
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("path.js", None, "The file path.js, which plays the camera path, is missing. Upload the whole folder of the page."),
+        ("path.json", None, "The file path.json is missing from the server. Upload the whole folder of the page."),
+        ("path.json", "{}", "The file path.json is damaged: it is not a camera path. Export the page again."),
+        (
+            "path.json",
+            '{"format": "snerg-path", "version": 2}',
+            "The file path.json is damaged: it is not a camera path. Export the page again.",
+        ),
+    ],
+)
+def test_what_is_missing_or_damaged_is_named(
+    page: Page, made: Path, serve: Serve, tmp_path: Path, name: str, text: str | None, words: str
+) -> None:
+    shutil.copytree(made / "web", tmp_path / "web")
+    if text is None:
+        (tmp_path / "web" / name).unlink()
+    else:
+        (tmp_path / "web" / name).write_text(text)
+    assert opened(page, serve(tmp_path / "web")) == words
+
+
+def test_damaged_keys_are_not_a_path() -> None:
+    """Every change that Python refuses, the page refuses too."""
+    data = json.loads(path_bytes(make_path()))
+    changes = [
+        ("frame", 1),
+        ("rotation", [0, 0, 0, 0]),
+        ("position", [0, None, 0]),
+        ("focal", [-1, 1]),
+        ("far", 0),
+        ("near", -1),
+        ("distance", -1),
+    ]
+    damaged = []
+    for key, value in changes:
+        other = json.loads(json.dumps(data))
+        other["shots"][0]["keys"][1][key] = value
+        damaged.append(other)
+        with pytest.raises(SnergError):
+            CameraPath.from_json(other)
+    for key, value in (("shots", []), ("fps", 0), ("end", 0), ("width", 0.5)):
+        damaged.append(data | {key: value})
+        with pytest.raises(SnergError):
+            CameraPath.from_json(damaged[-1])
+    refused = node(f"""
+        import {{ pathOf }} from "./viewer/path";
+        console.log(JSON.stringify({json.dumps([data, *damaged])}.map((value) => pathOf(value) === null)));
+    """)
+    assert refused == [False, *[True] * len(damaged)]

@@ -10,7 +10,7 @@ export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
 export { ViewerError } from "./errors";
 export { defineElement, SnergViewerElement } from "./viewer/element";
-export { CameraPath, type PathCamera, PathPlayer, type PathState, readPath } from "./viewer/path";
+export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./viewer/path";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export { asViewerError, createViewer, type Viewer, type ViewerEvents, type ViewerOptions, type ViewerState } from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";

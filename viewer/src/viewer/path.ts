@@ -1,8 +1,6 @@
 // Camera paths: what path.json says, the camera at any frame, and the clock that plays them. A page without a path loads none of this, and so
-// it uses nothing of three.js. core/geometry/camera_path.py interpolates by the same rules.
-import { type FileSource, readJson } from "../data/files";
+// it uses nothing of three.js, and throws no errors, whose class would be another one than the viewer's. core/geometry/camera_path.py interpolates by the same rules.
 import { isArray, isPositiveInteger } from "../data/scene";
-import { EXPORT_AGAIN, ViewerError } from "../errors";
 
 const NEARLY_SAME = 1e-9; // radians between two quaternions below which spherical and linear interpolation are equal
 const LONGEST_STEP = 1; // seconds of the clock a picture at most: while a tab is hidden, the path stands still
@@ -44,12 +42,8 @@ interface PathFile {
   shots: Shot[];
 }
 
-/** The path in a file. Rejects with a ViewerError that names the file where it is missing or damaged. */
-export async function readPath(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraPath> {
-  const value = (await readJson(source, name, signal)) as PathFile | null;
-  if (!isPath(value)) throw new ViewerError(`The file ${name} is damaged: it is not a camera path. ${EXPORT_AGAIN}`);
-  return new CameraPath(value);
-}
+/** The path that a file's value describes; null where it is none. */
+export const pathOf = (value: unknown): CameraPath | null => (isPath(value as PathFile | null) ? new CameraPath(value as PathFile) : null);
 
 export class CameraPath {
   readonly fps: number;

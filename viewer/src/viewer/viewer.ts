@@ -1,10 +1,10 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
 import { readCameras, type SnergCamera } from "../data/cameras";
-import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/files";
+import { EmbeddedFiles, type FileSource, readJson, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
-import { ViewerError } from "../errors";
+import { EXPORT_AGAIN, ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
 import { between, eased, wantsLessMotion } from "./flight";
 import { pathPart } from "./parts";
@@ -378,11 +378,13 @@ export function findCamera(cameras: readonly SnergCamera[], text: string | null)
   return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
 }
 
-/** The camera path of a bundle. */
-function readPath(source: FileSource, signal: AbortSignal): Promise<CameraPath> {
+/** The camera path of a bundle. Rejects with a ViewerError where it is missing or damaged, or the code that plays it is missing. */
+async function readPath(source: FileSource, signal: AbortSignal): Promise<CameraPath> {
   const part = pathPart();
   if (!part) throw new ViewerError("The file path.js, which plays the camera path, is missing. Upload the whole folder of the page.");
-  return part.readPath(source, "path.json", signal);
+  const path = part.pathOf(await readJson(source, "path.json", signal));
+  if (!path) throw new ViewerError(`The file path.json is damaged: it is not a camera path. ${EXPORT_AGAIN}`);
+  return path;
 }
 
 /** Without an address, the files inside the page, or else those beside it. */
