@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.camera_files import write_transforms
+from ..core.export.page_settings import THUMBNAILS
 from ..core.geometry.camera_path import path_bytes
 from ..core.io.files import write_bytes
 from ..core.jobs.runner import start_command
@@ -48,6 +49,8 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
         cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
         write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
         arguments += ["--cameras", str(project.cameras)]
+        if settings.web_thumbnails != THUMBNAILS:
+            arguments += ["--thumbnails", str(settings.web_thumbnails)]
     if settings.web_path and may_move(context.scene):
         path = camera_move(context.scene, scene_box(project.scene))
         remember_count(context.scene, path)

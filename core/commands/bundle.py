@@ -13,8 +13,9 @@ from ..data.readers.path_files import read_path
 from ..errors import SnergError
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUNDS, PLAIN, PageSettings
+from ..export.page_settings import BACKGROUNDS, PLAIN, THUMBNAILS, PageSettings
 from ..export.scene_files import codec_of, is_current
+from ..export.thumbnails import SECONDS
 from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Note, Progress, silent
@@ -22,7 +23,9 @@ from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
 from .export import published
-from .options import add_codec_options, artifact, codec_settings, path
+from .options import add_codec_options, artifact, codec_settings, natural, path
+
+THUMBNAILS_HELP = f"cameras with a small picture: 1 to 4 KB and about 0.3 s each, {SECONDS:g} s in all at most (default: {THUMBNAILS})"
 
 
 @writes_out("a bundle")
@@ -71,6 +74,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
     parser.add_argument("--path", type=path, metavar="FILE", help="a camera path that the page can play")
     parser.add_argument("--play", action="store_true", help="play the path as soon as the scene is there")
+    parser.add_argument("--thumbnails", type=natural, default=THUMBNAILS, metavar="N", help=THUMBNAILS_HELP)
     parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
@@ -86,7 +90,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
     distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
-    page = PageSettings(options.title, options.description, options.address, options.background, distance, elevation, options.play)
+    page = PageSettings(
+        options.title, options.description, options.address, options.background, distance, elevation, options.play, options.thumbnails
+    )
     codec = codec_settings(options)
     if options.play and options.path is None:
         raise SnergError("--play plays a camera path; give one with --path, or leave --play out.")

@@ -28,6 +28,7 @@ from .codecs import PNG, CodecSettings
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
+from .thumbnails import thumbnail_name, thumbnails
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = '<script src="viewer.js"></script>'
@@ -35,6 +36,7 @@ PATH_SCRIPT = "path.js"  # the code that plays camera paths, in pages that have 
 STYLE_TAG = '<link rel="stylesheet" href="page.css">'
 COARSE_FROM = 64  # cells from which on a page has the scene at a quarter of its resolution too, which it shows first
 POSTER_SHARE = 0.2  # of the time of an export
+THUMBNAILS_END = 0.4  # of the time of an export that has thumbnails, after the poster
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -66,12 +68,16 @@ def write_bundle(
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
     first = cameras[0] if cameras else path.camera_at(path.start) if path else None
     poster = poster_bytes(scene, first, page, rendering) if first else None
-    writing = within(progress, POSTER_SHARE, 1.0)
+    small = thumbnails(scene, cameras, page, within(progress, POSTER_SHARE, THUMBNAILS_END if page.thumbnails else POSTER_SHARE))
+    writing = within(progress, THUMBNAILS_END if page.thumbnails else POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
         coarse = not single_file and len(scene.cells) >= COARSE_FROM
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | _flags(coarse=coarse, path=path is not None)))
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras, len(small)) | _flags(coarse=coarse, path=path is not None)))
+        for index, picture in enumerate(small):
+            (data / thumbnail_name(index)).parent.mkdir(exist_ok=True)
+            (data / thumbnail_name(index)).write_bytes(picture)
         if path is not None:
             (data / "path.json").write_bytes(path_bytes(path))
         if coarse:
@@ -149,15 +155,18 @@ def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False
     codec.check()
 
 
-def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
+def cameras_json(cameras: Sequence[Camera], thumbnails: int = 0) -> dict[str, Any]:
     """The value of cameras.json: pixels from the top left corner, OpenGL camera-to-world, world units. The page ignores distortion.
 
-    Panoramas and fisheyes that are computed in angles are left out: the page cannot draw them.
+    Panoramas and fisheyes that are computed in angles are left out: the page cannot draw them. thumbnails: how many cameras have one.
     """
+    drawn = [camera.to_json() for camera in cameras if not camera.is_wide]
+    for index, value in enumerate(drawn[:thumbnails]):
+        value["thumbnail"] = thumbnail_name(index)
     return {
         "format": "snerg-cameras",
         "version": 1,
-        "cameras": [camera.to_json() for camera in cameras if not camera.is_wide],
+        "cameras": drawn,
     }
 
 

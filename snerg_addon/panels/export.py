@@ -25,6 +25,7 @@ class ExportStep(Step):
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the buttons, and the size of what was exported."""
         layout.prop(settings, "web_cameras")
+        layout.prop(settings, "web_thumbnails")
         draw_move(layout, settings, context.scene)
         column = layout.column(align=True)
         column.prop(settings, "codec")
@@ -49,11 +50,13 @@ class ExportStep(Step):
 
 def draw_move(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
     """Whether the page plays the animated camera, and what that adds to it."""
-    moves = may_move(scene)
-    row = layout.row()
-    row.enabled = moves
-    row.prop(settings, "web_path", text="Camera Move" if moves else "Camera Move (none is animated)")
-    if not (moves and settings.web_path):
+    if not may_move(scene):
+        row = layout.row()
+        row.enabled = False
+        row.label(text="No camera is animated", icon="CAMERA_DATA")
+        return
+    layout.prop(settings, "web_path")
+    if not settings.web_path:
         return
     layout.prop(settings, "web_play")
     known = counted(scene)

@@ -4,6 +4,8 @@ import { EXPORT_AGAIN, ViewerError } from "../errors";
 import { type FileSource, readJson } from "./files";
 import { isArray, isPositiveInteger, matrixOfRows } from "./scene";
 
+const THUMBNAIL = /^thumbnails\/\d+\.webp$/; // nothing but a file of the bundle's own
+
 /** A pinhole or orthographic camera. Pixels are counted from the top left corner; lengths are in units of the scene. */
 export interface SnergCamera {
   name: string;
@@ -15,6 +17,7 @@ export interface SnergCamera {
   near: number; // of the clip planes, along the view axis
   far?: number;
   distortion?: unknown; // of the lens; not shown
+  thumbnail?: string; // the file of its small picture, in the bundle
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
@@ -51,6 +54,7 @@ function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): 
     isArray(camera.camera_to_world, [4, 4]) &&
     Number.isFinite(camera.near) &&
     (camera.far === undefined || camera.far > camera.near) &&
-    ["perspective", "orthographic"].includes(camera.projection)
+    ["perspective", "orthographic"].includes(camera.projection) &&
+    (camera.thumbnail === undefined || (typeof camera.thumbnail === "string" && THUMBNAIL.test(camera.thumbnail)))
   );
 }

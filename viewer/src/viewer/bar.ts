@@ -1,4 +1,5 @@
 // The bar below the picture: cameras, backgrounds, sharing, pictures, full screen, and the keys for them.
+import { Gallery, labelOf } from "./gallery";
 import { BACKGROUNDS, colourOf, type SharedView, writeView } from "./shared_view";
 import { findCamera, type Viewer } from "./viewer";
 
@@ -7,6 +8,7 @@ const FLIGHT = 1; // seconds from one camera to another
 const LINK_SHOWN = 2000; // milliseconds that "Copied" stays
 
 export class Bar {
+  private gallery: Gallery | null = null;
   private frameShown = false;
   private backgroundChosen = false; // by a person
 
@@ -75,6 +77,11 @@ export class Bar {
     return true;
   }
 
+  /** A camera was chosen. */
+  chosen(): void {
+    this.gallery?.update();
+  }
+
   /** Darken what lies outside the camera's image, as Blender does, where it was asked for, until the user moves. */
   showFrame(): void {
     const { frame, atCamera, camera } = this.viewer.state;
@@ -100,9 +107,10 @@ export class Bar {
     const select = this.find<HTMLSelectElement>("camera");
     // The page renders without lens distortion, and says so where the camera has one.
     const label = (name: string, distorted: boolean) => (distorted ? `${name} (lens not shown)` : name);
-    select.replaceChildren(...cameras.map((camera, i) => new Option(label(camera.name, !!camera.distortion), String(i))));
+    select.replaceChildren(...cameras.map((camera, i) => new Option(label(labelOf(camera.name, i), !!camera.distortion), String(i))));
     const shown = cameras.findIndex((camera) => camera.name === this.viewer.state.camera);
     select.value = String(Math.max(shown, 0));
+    if (cameras.some((camera) => camera.thumbnail)) this.gallery = new Gallery(select, this.viewer, (index) => this.choose(index, FLIGHT));
     select.onchange = () => this.choose(Number(select.value), FLIGHT);
     this.find("cameras").hidden = cameras.length === 0;
   }

@@ -85,6 +85,7 @@ export class SnergViewerElement extends HTMLElement {
     const index = typeof name === "number" ? name : findCamera(viewer.cameras, name);
     if (!viewer.cameras[index]) return;
     this.find<HTMLSelectElement>("camera").value = String(index);
+    this.bar?.chosen();
     void viewer.goTo(index, { duration });
     this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
   }

@@ -75,6 +75,8 @@ export interface Viewer {
   pause(): void;
   /** Look from a pose, camera-to-world in four rows, with the lens of the camera that is shown. zoom: of an orthographic camera. */
   lookFrom(cameraToWorld: number[][], zoom?: number): void;
+  /** The small picture of a camera; null where it has none, or the file does not arrive. */
+  thumbnail(index: number): Promise<Blob | null>;
   /** Turn the orbit, by radians. */
   turn(right: number, up: number): void;
   /** Resolves when the page shows the full image of the view. */
@@ -95,6 +97,7 @@ class CanvasViewer implements Viewer {
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
+  private readonly source: FileSource;
   private readonly listeners = new Map<string, Set<(event: never) => void>>();
   private renderer: ProgressiveRenderer | null = null;
   private view: View | null = null;
@@ -113,6 +116,7 @@ class CanvasViewer implements Viewer {
     private readonly options: ViewerOptions,
   ) {
     this.colour = options.background ?? [1, 1, 1, 1];
+    this.source = options.src ? sourceOf(options.src) : ownFiles();
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
     this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
@@ -128,7 +132,7 @@ class CanvasViewer implements Viewer {
 
   private async load(): Promise<void> {
     const { signal } = this.abort;
-    const source = this.options.src ? sourceOf(this.options.src) : ownFiles();
+    const { source } = this;
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
     const [{ cameras, coarse, path }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
@@ -272,6 +276,16 @@ class CanvasViewer implements Viewer {
   lookFrom(cameraToWorld: number[][], zoom = 1): void {
     this.stop();
     this.view?.lookFrom(matrixOfRows(cameraToWorld), zoom);
+  }
+
+  async thumbnail(index: number): Promise<Blob | null> {
+    const name = this.cameras[index]?.thumbnail;
+    if (!name) return null;
+    try {
+      return new Blob([(await this.source.read(name, this.abort.signal)) as Uint8Array<ArrayBuffer>], { type: "image/webp" });
+    } catch {
+      return null; // the list has its label
+    }
   }
 
   turn(right: number, up: number): void {
