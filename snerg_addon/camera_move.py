@@ -32,8 +32,8 @@ def camera_move(scene: bpy.types.Scene, box: Box | None) -> CameraPath:
     Raises SnergError where there is no camera, or one is panoramic or cannot be used.
     """
     frames = range(scene.frame_start, scene.frame_end + 1)
-    active = {frame: active_at(scene, frame) for frame in frames}
-    if None in active.values():
+    active = {frame: camera for frame in frames if (camera := active_at(scene, frame)) is not None}
+    if len(active) < len(frames):
         raise SnergError("The scene has no active camera; make one active, or leave the camera move out.")
     after = scene.frame_end + 1
     wanted = {frame: list(dict.fromkeys([active.get(frame - 1), active.get(frame)])) for frame in [*frames, after]}

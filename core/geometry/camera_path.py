@@ -299,4 +299,4 @@ def _thinned(shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Shot:
     chosen = sorted(kept)
     if len(chosen) == 2 and pixel_errors(states[:1], states[-1:], like, depths[:1])[0] <= STILL:
         chosen = chosen[:1]
-    return Shot(*(tuple(values[i] for i in chosen) for values in (shot.frames, shot.cameras, shot.distances)))
+    return Shot(tuple(shot.frames[i] for i in chosen), tuple(shot.cameras[i] for i in chosen), tuple(shot.distances[i] for i in chosen))

@@ -116,6 +116,14 @@ def test_a_frame_of_the_path_is_the_march(page: Page, made: Path, serve: Serve, 
     assert truth.std() > 0.03
 
 
+def test_a_frame_far_from_the_origin_is_the_march(page: Page, serve: Serve, tmp_path: Path) -> None:
+    scene, path = make_snerg(SHAPE, centre=FAR), make_path(FAR)
+    write_bundle(scene, (), tmp_path / "web", path=path)
+    assert opened(page, f"{serve(tmp_path / 'web')}?width=160&height=120#frame=13") is None
+    shown, truth = picture(page), render_scene(scene, CameraPath.from_json(json.loads(path_bytes(path))).camera_at(13)).over()
+    assert np.abs(shown - truth).mean() < 0.5 / 255 and truth.std() > 0.03
+
+
 def test_rendering_the_frames_of_a_path(page: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
     """The files are the page's pictures of whole frames."""
     short = tmp_path / "short.json"
@@ -167,6 +175,11 @@ def test_the_path_is_played_by_mouse_and_keys(page: Page, made: Path, serve: Ser
     canvas.press(".")
     assert state(page)["frame"] == 23 and time.get_attribute("aria-valuetext") == "0.9 of 2.0 seconds"
     page.wait_for_url("**#*frame=23*")  # the address follows
+
+
+def test_a_path_ends_begins_again_and_is_left(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made / "web") + "?width=40&height=30#frame=23") is None
+    canvas = page.locator("#canvas")
     page.get_by_role("combobox", name="Speed").select_option("4")
     assert state(page)["speed"] == 4
     canvas.press("l")
