@@ -242,7 +242,10 @@ def test_a_page_needs_no_cameras(scene, monkeypatch):
         started(monkeypatch, "export_web")
     scene.snerg.web_cameras = "ALL"
     add_camera()
-    assert "--cameras" in started(monkeypatch, "export_web")
+    arguments = started(monkeypatch, "export_web")
+    assert "--cameras" in arguments and parser().parse_args(arguments).thumbnails == 24
+    scene.snerg.web_thumbnails = 0
+    assert parser().parse_args(started(monkeypatch, "export_web")).thumbnails == 0
 
 
 def test_a_page_plays_the_camera_where_it_moves(scene, monkeypatch):

@@ -26,8 +26,9 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
 from snerg.core.io.images import read_image
 from snerg.core.rendering.render import render_scene
-from snerg.tests.web.conftest import opened, picture
+from snerg.tests.web.conftest import ROOT, opened, picture
 from snerg.tests.web.test_modules import node
+from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 FAR = (1e6, -2e6, 5e5)
@@ -331,3 +332,21 @@ def test_damaged_keys_are_not_a_path() -> None:
         console.log(JSON.stringify({json.dumps([data, *damaged])}.map((value) => pathOf(value) === null)));
     """)
     assert refused == [False, *[True] * len(damaged)]
+
+
+def test_axe_finds_nothing_on_a_phone(browser: Browser, tmp_path: Path, serve: Serve) -> None:
+    """The rules of axe-core on a page with a path and thumbnails, while it plays and with the cameras open; targets of 44 pixels."""
+    write_bundle(make_snerg((20, 20, 20)), make_cameras(), tmp_path / "web", page=PageSettings(thumbnails=3), path=make_path())
+    context = browser.new_context(viewport={"width": 390, "height": 700}, bypass_csp=True)
+    page = context.new_page()
+    assert opened(page, serve(tmp_path / "web")) is None
+    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
+    page.get_by_role("button", name="Play").click()
+    assert page.evaluate(AXE) == []
+    page.get_by_role("button", name="Pause").click()
+    for control in page.locator("#path button, #path input, #path select, #gallery-open").all():
+        box = control.bounding_box()
+        assert box and box["height"] >= 44 and box["width"] >= 44 and box["x"] >= 0 and box["x"] + box["width"] <= 390
+    page.get_by_role("button", name="Camera: ").click()
+    assert page.evaluate(AXE) == []
+    context.close()

@@ -63,7 +63,9 @@ export class PathBar {
     const scrub = this.find<HTMLInputElement>("scrub");
     scrub.value = String(shown);
     const [at, length] = [(shown - start) / fps, (end + 1 - start) / fps];
-    this.find("clock").textContent = `${minutes(at)} / ${minutes(length)}`;
+    const [now, whole] = this.find("clock").children;
+    now.textContent = minutes(at);
+    whole.textContent = ` / ${minutes(length)}`;
     const spoken = `${at.toFixed(1)} of ${length.toFixed(1)} seconds`;
     if (!playing) scrub.setAttribute("aria-valuetext", spoken); // not at every picture: a screen reader would read each
     this.find("loop").setAttribute("aria-pressed", String(loop));
