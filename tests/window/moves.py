@@ -34,11 +34,11 @@ def camera_move(window: Window, baked: str) -> Walk:
     yield from window.wait(0.5)
     window.seen["moving"] = window.texts("export")
     yield from window.picture("moving")
-    yield from window.click("snerg.count_keyframes")
+    yield from press(window, "snerg.count_keyframes")
     yield from window.until(lambda: any("keyframe" in text for text in window.texts("export")), 20)
     window.seen["counted"], window.seen["frame"] = window.texts("export"), scene.frame_current
     yield from window.picture("counted")
-    yield from window.click("snerg.export_web")
+    yield from press(window, "snerg.export_web")
     project = import_module("bl_ext.user_default.snerg_addon.snerg_addon.project").project_of
     yield from window.until(lambda: project(window.window.scene).has("web") and not window.busy(), 60)
     yield from window.picture("exported")
@@ -48,3 +48,9 @@ def camera_move(window: Window, baked: str) -> Walk:
     window.operator("open_page")
     address = import_module("bl_ext.user_default.snerg_addon.snerg_addon.page_server").address_of(web)
     window.seen["script"] = urllib.request.urlopen(f"{address}path.js").read(200).decode()
+
+
+def press(window: Window, operator: str) -> Walk:
+    """Click a button of the step that is open: quicker than to look for it in all of them."""
+    yield from window.seek(f"bpy.ops.{operator}(", f"button for {operator}", ctrl=True)
+    yield from window.press("LEFTMOUSE")
