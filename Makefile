@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -63,6 +63,10 @@ bench-estimate: setup
 # DATASETS="DATASET ...": on which to compare the estimates of the panel's presets with what they take (default: the demo's).
 bench-presets: setup
 	$(PY) bench/presets.py $(if $(PRESETS),--presets "$(PRESETS)") $(DATASETS)
+
+# ROWS="VIEWSxSAMPLESxPIXELS ...": how the demo's scene is rendered. SECONDS=150: from its cameras to its page, of each row.
+bench-page: setup
+	$(PY) bench/page.py $(if $(SECONDS),--seconds $(SECONDS)) $(if $(RESOLUTION),--resolution $(RESOLUTION)) $(ROWS)
 
 # Every reader on N damaged files (default: 5000); SEED=1: others.
 fuzz: setup

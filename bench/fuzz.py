@@ -63,12 +63,14 @@ def subjects() -> list[Subject]:
     from snerg.core.baking.resume import ResumeCache
     from snerg.core.data.load import read_dataset
     from snerg.core.data.readers.camera_files import read_cameras, write_transforms
+    from snerg.core.data.readers.path_files import path_of_cameras, read_path
     from snerg.core.data.readers.ply import read_ply
     from snerg.core.export.bundle import cameras_json
     from snerg.core.export.codecs import CodecSettings
     from snerg.core.export.reference import read_reference, write_reference
     from snerg.core.export.scene_files import codec_of, read_scene, write_scene
     from snerg.core.geometry.box import Box
+    from snerg.core.geometry.camera_path import path_bytes
     from snerg.core.io.files import write_arrays
     from snerg.core.io.guard import reading
     from snerg.core.io.images import read_image, read_mask
@@ -159,6 +161,9 @@ def subjects() -> list[Subject]:
         head += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
         (folder / "a.ply").write_text(head + "".join(f"{i} 2 3 4 5 6\n" for i in range(3)))
 
+    def move(folder: Path) -> None:
+        (folder / "p.json").write_bytes(path_bytes(path_of_cameras(ring)))
+
     def binary_ply(folder: Path) -> None:
         head = (
             "ply\nformat binary_little_endian 1.0\nelement vertex 3\n" + "".join(f"property double {a}\n" for a in "xyz") + "end_header\n"
@@ -171,6 +176,7 @@ def subjects() -> list[Subject]:
         Subject("transforms (instant-ngp)", lambda f: captures.write_ngp(f, ring), dataset, ("transforms.json", "images/000.png")),
         Subject("transforms (nerfstudio)", lambda f: captures.write_nerfstudio(f, ring), dataset, ("*.json", "*.ply")),
         Subject("cameras", lambda f: write_transforms(f / "c.json", ring, list("abcd")), lambda f: read_cameras(f / "c.json"), ("c.json",)),
+        Subject("camera path", move, lambda f: read_path(f / "p.json"), ("p.json",)),
         Subject("LLFF", lambda f: captures.write_llff(f, facing, np.tile([2.0, 9.0], (4, 1))), dataset, ("*.npy",)),
         Subject("COLMAP, binary", lambda f: captures.write_colmap(f, ring, *points, model="PINHOLE"), dataset, ("sparse/0/*",)),
         Subject("COLMAP, text", lambda f: captures.write_colmap(f, ring, *points, model="PINHOLE", binary=False), dataset, ("sparse/0/*",)),

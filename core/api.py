@@ -22,6 +22,7 @@ from .export.reference import write_reference
 from .export.scene_files import check_storable, write_scene
 from .geometry.box import Box
 from .geometry.camera import Camera
+from .geometry.camera_path import CameraPath
 from .io.lock import one_writer
 from .nerf.checkpoint import read_field
 from .nerf.field import Field
@@ -150,17 +151,19 @@ def export_web(
     single_file: bool = False,
     codec: str = "png",
     quality: int | None = None,
+    path: CameraPath | None = None,
     progress: Progress = silent,
 ) -> Path:
     """Write a scene as a web page that any browser opens, and return its index.html.
 
     cameras: what the page lists to jump to; it opens at the first. single_file: one .html that opens from the disk, in place of a
-    folder for a web server. Raises SnergError when the folder cannot be written or browsers could not show the scene.
+    folder for a web server. path: that the page can play.
+    Raises SnergError when the folder cannot be written or browsers could not show the scene.
     """
     folder = Path(out)
     check_out(folder, "page")
     with one_writer(folder, "an export"):
-        write_bundle(scene, tuple(cameras), folder, single_file=single_file, progress=progress, codec=_codec(codec, quality))
+        write_bundle(scene, tuple(cameras), folder, single_file=single_file, progress=progress, codec=_codec(codec, quality), path=path)
     return folder / "index.html"
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from build_scene import CAMERAS, SIZE, build
+from build_scene import CAMERAS, SAMPLES, SIZE, build
 
 import snerg
 from snerg.core.baking.bake import BakeSettings, bake
@@ -101,6 +101,7 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--size", type=int, default=SIZE, help="pixels a side (default: %(default)s)")
+    parser.add_argument("--samples", type=int, default=SAMPLES, help="of Cycles a pixel (default: %(default)s)")
     parser.add_argument("--cameras", type=int, default=CAMERAS, help="every eighth is held out (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=3.0, help="of training (default: %(default)s)")
     parser.add_argument("--resolution", type=int, default=320, help="voxels along the longest side (default: %(default)s)")
@@ -125,7 +126,7 @@ def quiet() -> Iterator[None]:
 def capture(options: argparse.Namespace, watch: Stopwatch) -> None:
     """Build the scene in Blender and render a dataset from its cameras."""
     snerg.register()
-    scene = build(size=options.size, cameras=options.cameras)
+    scene = build(size=options.size, samples=options.samples, cameras=options.cameras)
     bpy.context.view_layer.update()
     shots = sorted((thing for thing in scene.objects if thing.type == "CAMERA"), key=lambda thing: thing.name)
     box: Box = box_from_blender(scene.snerg.box, evaluated(scene))

@@ -8,8 +8,12 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.camera_files import write_transforms
+from ..core.export.page_settings import THUMBNAILS
+from ..core.geometry.camera_path import path_bytes
+from ..core.io.files import write_bytes
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
+from ..snerg_addon.camera_move import camera_move, may_move, remember_count, scene_box
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import LOSSY
@@ -33,7 +37,8 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the export."""
         remember(project, "web", project.web, result)
-        return f"Exported the web page to {project.web}"
+        moves = f", with a camera move of {result['path_frames']} frames" if result.get("path_frames") else ""
+        return f"Exported the web page to {project.web}{moves}"
 
 
 def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
@@ -44,6 +49,14 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
         cameras = core_cameras(context.scene, scene_cameras(context, settings.web_cameras))
         write_transforms(project.cameras, cameras, [camera.name for camera in cameras])
         arguments += ["--cameras", str(project.cameras)]
+        if settings.web_thumbnails != THUMBNAILS:
+            arguments += ["--thumbnails", str(settings.web_thumbnails)]
+    if settings.web_path and may_move(context.scene):
+        path = camera_move(context.scene, scene_box(project.scene))
+        remember_count(context.scene, path)
+        if path.moves:
+            write_bytes(project.camera_path, path_bytes(path))
+            arguments += ["--path", str(project.camera_path), *(["--play"] if settings.web_play else [])]
     arguments += page_arguments(settings)
     if settings.codec != "scene":
         arguments += ["--codec", settings.codec]

@@ -20,7 +20,7 @@ from ..snerg_addon.project import Project, project_of, remember
 from ..snerg_addon.render_evaluation import evaluated_box
 from ..snerg_addon.render_job import render_job
 from ..snerg_addon.render_passes import ENGINES, PASSES, check_passes
-from ..snerg_addon.shots import Moment, Shot
+from ..snerg_addon.shots import Moment, Shot, active_at
 from .task_operator import TaskOperator
 
 
@@ -98,13 +98,6 @@ def chosen_shots(context: bpy.types.Context) -> list[Shot]:
     if settings.cameras == "ACTIVE":
         return [Moment(active_at(scene, frame), frame) for frame in frames]
     return [Moment(camera, frame) for camera in cameras for frame in frames]
-
-
-def active_at(scene: bpy.types.Scene, frame: int) -> bpy.types.Object:
-    """The camera that renders a frame: the last marker's before it that has one, else the first such marker's, else the scene's."""
-    bound = sorted((marker for marker in scene.timeline_markers if marker.camera is not None), key=lambda marker: marker.frame)
-    before = [marker.camera for marker in bound if marker.frame <= frame]
-    return before[-1] if before else bound[0].camera if bound else scene.camera
 
 
 def capture_settings(context: bpy.types.Context) -> CaptureSettings:

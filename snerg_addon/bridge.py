@@ -42,11 +42,11 @@ def camera_from_blender(
     """
     if camera.type != "CAMERA":
         raise SnergError(f"{camera.name!r} is not a camera; choose a camera.")
-    kind = camera.data.type
+    evaluated = camera.evaluated_get(depsgraph)
+    kind = evaluated.data.type
     if kind not in ("PERSP", "ORTHO", "PANO"):
         raise SnergError(f"The camera {camera.name!r} is {kind.lower()}; only perspective, orthographic and panoramic cameras can be used.")
     width, height = size or resolution(scene)
-    evaluated = camera.evaluated_get(depsgraph)
     pose = np.array(evaluated.matrix_world, np.float64)
     if shear(pose) > MAX_SHEAR:
         raise SnergError(f"The camera {camera.name!r} is sheared by a parent that is scaled unevenly; apply the parent's scale.")

@@ -64,7 +64,7 @@ class SNERG_RE_engine(bpy.types.RenderEngine):
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One view layer of one frame."""
-        if hand_over(depsgraph):
+        if hand_over(depsgraph, self.frame_set):
             return
         try:
             self._render(depsgraph)

@@ -78,6 +78,11 @@ class Project:
         return self.folder / "cameras.json"
 
     @property
+    def camera_path(self) -> Path:
+        """The camera path of the last web page."""
+        return self.folder / "camera_path.json"
+
+    @property
     def _notes(self) -> Path:
         return self.folder / "status.json"
 

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 from ..core.data.dataset import DatasetOptions
 from ..core.data.rig import RigSettings
 from ..core.export.codecs import LOSSLESS, SUFFIXES, CodecSettings
-from ..core.export.page_settings import BACKGROUNDS
+from ..core.export.page_settings import BACKGROUNDS, THUMBNAILS
 
 # Blender 5 shows a path that starts with // in red unless the property has this option.
 RELATIVE_PATHS = {"PATH_SUPPORTS_BLEND_RELATIVE"}
@@ -297,6 +297,24 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
             ("ALL", "All", "Every camera of the scene"),
         ],
         default="ALL",
+    )
+    web_thumbnails: IntProperty(
+        name="Thumbnails",
+        description="Cameras with a small picture in the page's list: 1 to 4 KB and about 0.3 seconds each, at most half a minute in all",
+        default=THUMBNAILS,
+        min=0,
+        max=1000,
+        soft_max=100,
+    )
+    web_path: BoolProperty(
+        name="Camera Move",
+        description="Let the page play the active camera over the frame range, with a cut at each marker that has a camera",
+        default=True,
+    )
+    web_play: BoolProperty(
+        name="Play at Once",
+        description="Play the camera move as soon as the scene is there, except for people who asked their device for less motion",
+        default=False,
     )
     codec: EnumProperty(
         name="Image Format",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import bpy
 
@@ -19,7 +19,8 @@ from ..core.geometry.camera import Camera
 from .bridge import box_from_blender, camera_from_blender
 
 T = TypeVar("T")
-_readers: dict[str, Callable[[bpy.types.Depsgraph], None]] = {}  # by the name of the scene that is to be read
+SetFrame: TypeAlias = Callable[[int, float], None]  # (frame, subframe): evaluates the dependency graph there
+_readers: dict[str, Callable[[bpy.types.Depsgraph, SetFrame], None]] = {}  # by the name of the scene that is to be read
 
 
 class SNERG_RE_evaluation(bpy.types.RenderEngine):
@@ -30,7 +31,7 @@ class SNERG_RE_evaluation(bpy.types.RenderEngine):
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """One view layer of one frame."""
-        hand_over(depsgraph)
+        hand_over(depsgraph, self.frame_set)
 
 
 def engine() -> str:
@@ -43,11 +44,11 @@ def engine() -> str:
     return SNERG_RE_evaluation.bl_idname
 
 
-def hand_over(depsgraph: bpy.types.Depsgraph) -> bool:
+def hand_over(depsgraph: bpy.types.Depsgraph, set_frame: SetFrame) -> bool:
     """Give a dependency graph to the `evaluate_render` that waits for it. False: none does, it is to be rendered."""
     reader = _readers.get(depsgraph.scene.name)
     if reader is not None:
-        reader(depsgraph)
+        reader(depsgraph, set_frame)
     return reader is not None
 
 
@@ -64,12 +65,41 @@ def evaluate_render(
     layer: name of the view layer; empty for the first.
     The scene and its objects keep changes without a key. Raises SnergError where Blender cannot evaluate it, and what `read` raises.
     """
+    return _evaluate(scene, lambda depsgraph, _: read(depsgraph), needed, frame, layer)
+
+
+def evaluate_frames(
+    scene: bpy.types.Scene,
+    frames: Sequence[int],
+    read: Callable[[bpy.types.Depsgraph, int], T],
+    needed: Sequence[bpy.types.Object] = (),
+) -> list[T]:
+    """What `read` returns for each of some frames, in one evaluation, which redoes only what changes; else as `evaluate_render`."""
+
+    def read_all(depsgraph: bpy.types.Depsgraph, set_frame: SetFrame) -> list[T]:
+        found = []
+        for frame in frames:
+            set_frame(frame, 0.0)
+            found.append(read(depsgraph, frame))
+        return found
+
+    return _evaluate(scene, read_all, needed, frames[0], "")
+
+
+def _evaluate(
+    scene: bpy.types.Scene,
+    read: Callable[[bpy.types.Depsgraph, SetFrame], T],
+    needed: Sequence[bpy.types.Object],
+    frame: int | None,
+    layer: str,
+) -> T:
+    """See `evaluate_render`."""
     found: list[T] = []
     failed: list[Exception] = []
 
-    def reader(depsgraph: bpy.types.Depsgraph) -> None:
+    def reader(depsgraph: bpy.types.Depsgraph, set_frame: SetFrame) -> None:
         try:
-            found.append(read(depsgraph))
+            found.append(read(depsgraph, set_frame))
         except Exception as error:  # it would be lost in Blender's render pipeline
             failed.append(error)
 

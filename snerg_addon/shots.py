@@ -39,6 +39,17 @@ def frame_of(shot: Shot) -> int | None:
     return shot.frame if isinstance(shot, Moment) else None
 
 
+def active_at(scene: bpy.types.Scene, frame: int) -> bpy.types.Object | None:
+    """The camera that renders a frame: the last marker's before it that has one, else the first such marker's, else the scene's.
+
+    As in Blender, cameras that are hidden in renders are passed over at markers.
+    """
+    bound = [marker for marker in scene.timeline_markers if marker.camera is not None and not marker.camera.hide_render]
+    bound.sort(key=lambda marker: marker.frame)
+    before = [marker.camera for marker in bound if marker.frame <= frame]
+    return before[-1] if before else bound[0].camera if bound else scene.camera
+
+
 def evaluated_shots(scene: bpy.types.Scene, shots: Sequence[Shot]) -> tuple[list[Camera], list[str]]:
     """(the shots as core cameras, where a render has them; sentences about what a dataset will not show as the artist may expect).
 

@@ -113,3 +113,14 @@ def test_a_preset_is_estimated_and_measured(dataset, tmp_path):
     (row,) = json.loads((tmp_path / "out" / "presets.json").read_text())["rows"]
     _, estimated, took, _ = row["found"]["training"]
     assert estimated > 6 and took > 6 and row["found"]["bake"][2] > 0 and row["found"]["steps"][2] > 0
+
+
+@pytest.mark.slow
+def test_cameras_lead_to_a_page_in_the_given_time(tmp_path):
+    pytest.importorskip("jax")
+    short = ("8x1x48", "--seconds", "20", "--resolution", "24")
+    result = run(*short, "--out", tmp_path / "out", bench="page")
+    assert result.returncode == 0, result.stderr
+    (row,) = json.loads((tmp_path / "out" / "page.json").read_text())["rows"]
+    assert "| 8x1x48 |" in result.stdout and row["steps"] > 0 and row["psnr"]["scene"] > 5 and row["megabytes"] > 0.1
+    assert row["seconds"]["all"] >= sum(row["seconds"][name] for name in ("render", "train", "bake", "refine", "page")) - 1

@@ -22,7 +22,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "extension"
 CODE = ("core", "operators", "snerg_addon", "farm")
-PAGE = ("index.html", "page.css", "dist/viewer.js")  # of the web viewer: what an exported page is made of
+PAGE = ("index.html", "page.css", "dist/viewer.js", "dist/path.js")  # of the web viewer: what an exported page is made of
 FILES = ("__init__.py", "py.typed", "launcher.py", "LICENSE", "README.md", "CHANGELOG.md")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "node_modules", ".*", "*.egg-info", "*.pyc")
 TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "optax", "absl-py", "pillow", "msgpack")  # Blender brings NumPy

@@ -26,6 +26,7 @@ NEEDED = (
     "core/cli.py",
     "operators/train.py",
     "snerg_addon/bridge.py",
+    "viewer/dist/path.js",
     "viewer/dist/viewer.js",
     "viewer/index.html",
     "viewer/page.css",

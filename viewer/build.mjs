@@ -1,5 +1,5 @@
-// Builds dist/: snerg-viewer.js, a module that leaves three.js to the page; and viewer.js, a script for exported pages
-// with the part of three.js that it uses, which core/export/bundle.py copies.
+// Builds dist/: snerg-viewer.js, a module that leaves three.js to the page; viewer.js, a script for exported pages
+// with the part of three.js that it uses; and path.js, which plays camera paths in those that have one. core/export/bundle.py copies both.
 import { readFile } from "node:fs/promises";
 import { createRequire } from "node:module";
 import { dirname, join } from "node:path";
@@ -26,6 +26,15 @@ await build({
   minify: true,
   format: "iife", // a classic script: browsers load no modules from file://, where the page must show its message
   banner: { js: `/*! The SNeRG viewer, GPL-3.0-or-later. It contains three.js ${version}:\n\n${licence.trim()}\n*/` },
+});
+await build({
+  ...common,
+  entryPoints: [join(here, "src/viewer/path_part.ts")],
+  outfile: join(here, "dist/path.js"),
+  minify: true,
+  format: "iife",
+  globalName: "snergPath", // by which viewer.js finds it, see src/viewer/parts.ts
+  banner: { js: "/*! Camera paths of the SNeRG viewer, GPL-3.0-or-later. */" },
 });
 await build({
   ...common,

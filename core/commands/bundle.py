@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from ..artifact import Result, kind_of
-from ..data.camera_world import in_training_world
+from ..data.camera_world import in_training_world, placed_path
 from ..data.readers.camera_files import read_cameras
+from ..data.readers.path_files import read_path
+from ..errors import SnergError
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUNDS, PLAIN, PageSettings
+from ..export.page_settings import BACKGROUNDS, PLAIN, THUMBNAILS, PageSettings
 from ..export.scene_files import codec_of, is_current
+from ..export.thumbnails import SECONDS
 from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Note, Progress, silent
@@ -20,7 +23,9 @@ from ..scene.scene import Scene
 from .check_out import check_out
 from .command import Command
 from .export import published
-from .options import add_codec_options, artifact, codec_settings, path
+from .options import add_codec_options, artifact, codec_settings, natural, path
+
+THUMBNAILS_HELP = f"cameras with a small picture: 1 to 4 KB and about 0.3 s each, {SECONDS:g} s in all at most (default: {THUMBNAILS})"
 
 
 @writes_out("a bundle")
@@ -33,14 +38,16 @@ def bundle_scene(
     codec: CodecSettings | None = None,
     dataset: Path | None = None,
     page: PageSettings = PLAIN,
+    path: Path | None = None,
 ) -> Result:
     """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
     cameras: a transforms file whose cameras the page lists. dataset: as in `render_views`. codec: of the scene's pictures; the scene's
-    own when None.
+    own when None. path: a camera path (see `read_path`) that the page can play; dataset goes for it, too.
     """
-    check_out(out, "page", scene, *([cameras] if cameras else []))
-    viewer_files()
+    check_out(out, "page", scene, *(file for file in (cameras, path) if file))
+    viewer_files(with_path=path is not None)
+    move = placed_path(read_path(path), path, dataset) if path else None
     listed = read_cameras(cameras) if cameras else ()
     if cameras and dataset is not None:
         listed = in_training_world(listed, cameras, dataset)
@@ -55,8 +62,9 @@ def bundle_scene(
     snerg, stored = one_generation(scene, opened)
     source = scene if stored is not None and codec in (None, stored) else None
     codec = codec or stored or PNG
-    written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source, page=page)
-    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **written}
+    written = write_bundle(snerg, views, out, single_file=single_file, progress=progress, codec=codec, source=source, page=page, path=move)
+    moves = {"path_keys": move.keys, "path_frames": len(move.frames)} if move else {}
+    return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **moves, **written}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -64,6 +72,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=artifact, metavar="SCENE")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
     parser.add_argument("--cameras", type=path, metavar="FILE", help="a transforms file whose cameras the page lists")
+    parser.add_argument("--path", type=path, metavar="FILE", help="a camera path that the page can play")
+    parser.add_argument("--play", action="store_true", help="play the path as soon as the scene is there")
+    parser.add_argument("--thumbnails", type=natural, default=THUMBNAILS, metavar="N", help=THUMBNAILS_HELP)
     parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
@@ -79,9 +90,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
     distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
-    page = PageSettings(options.title, options.description, options.address, options.background, distance, elevation)
+    page = PageSettings(
+        options.title, options.description, options.address, options.background, distance, elevation, options.play, options.thumbnails
+    )
     codec = codec_settings(options)
-    return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset, page)
+    if options.play and options.path is None:
+        raise SnergError("--play plays a camera path; give one with --path, or leave --play out.")
+    return bundle_scene(
+        options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset, page, options.path
+    )  # fmt: skip
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

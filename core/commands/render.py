@@ -6,11 +6,14 @@ import argparse
 import re
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ..artifact import Result
-from ..data.camera_world import in_training_world
+from ..data.camera_world import in_training_world, placed_path
 from ..data.readers.camera_files import read_cameras
+from ..data.readers.path_files import read_path
+from ..errors import SnergError
 from ..geometry.camera import Camera
 from ..io.files import new_folder
 from ..io.images import png_bytes, to_uint8
@@ -28,27 +31,32 @@ DEFAULT_MARCH = MarchSettings()
 @writes_out("a rendering")
 def render_views(
     scene: Path,
-    cameras: Path,
+    cameras: Path | None,
     out: Path,
     width: int | None = None,
     height: int | None = None,
     progress: Progress = silent,
     settings: MarchSettings = DEFAULT_MARCH,
     dataset: Path | None = None,
+    path: Path | None = None,
 ) -> Result:
     """Render a scene from each camera of a transforms file into PNG files with straight alpha.
 
     width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. dataset: the capture in whose own
     world the cameras are (see in_training_world); None: they are in the scene's world.
+    path: a camera path in place of the cameras, of which every frame is rendered, as frame_0001.png and so on.
     Raises SnergError on bad input, Cancelled when `progress` does; then `out` is as it was.
     """
-    check_out(out, "pictures", scene, cameras)
-    read = read_cameras(cameras, (width, height))
-    if dataset is not None:
-        read = in_training_world(read, cameras, dataset)
+    source = path or cameras
+    if source is None or (path and cameras):
+        raise SnergError("Give the cameras of a file, or a camera path: one of both.")
+    check_out(out, "pictures", scene, source)
+    read = path_views(source, (width, height), dataset) if path else read_cameras(source, (width, height))
+    if dataset is not None and not path:
+        read = in_training_world(read, source, dataset)
     views = [resized(camera, width, height) for camera in read]
     snerg = ready_scene(scene, settings)
-    names = file_names([camera.name for camera in views])
+    names = [camera.name for camera in views] if path else file_names([camera.name for camera in views])
     began = time.perf_counter()
     with new_folder(out) as folder:
         for index, (camera, name) in enumerate(zip(views, names, strict=True)):
@@ -63,6 +71,12 @@ def render_views(
         "files": [f"{name}.png" for name in names],
         "seconds_per_view": round(seconds / len(views), 4),
     }
+
+
+def path_views(file: Path, size: tuple[int | None, int | None], dataset: Path | None) -> tuple[Camera, ...]:
+    """The camera of each frame of a path, named after the frame. Raises as `read_path` and `in_training_world` do."""
+    path = placed_path(read_path(file, size), file, dataset)
+    return tuple(replace(path.camera_at(frame), name=f"frame_{frame:04d}") for frame in path.frames)
 
 
 def resized(camera: Camera, width: int | None, height: int | None) -> Camera:
@@ -87,7 +101,9 @@ def file_names(names: Sequence[str]) -> list[str]:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg render`."""
     parser.add_argument("scene", type=artifact, metavar="SCENE")
-    parser.add_argument("--cameras", type=path, required=True, metavar="TRANSFORMS.json")
+    shown = parser.add_mutually_exclusive_group(required=True)
+    shown.add_argument("--cameras", type=path, metavar="TRANSFORMS.json")
+    shown.add_argument("--path", type=path, metavar="FILE", help="a camera path, of which every frame is rendered")
     parser.add_argument("--out", type=path, required=True, metavar="DIR")
     parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
     parser.add_argument("--width", type=count, metavar="W", help="pixels, in place of the cameras' own")
@@ -99,7 +115,7 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg render`."""
     settings = march_settings(options)
     return render_views(
-        options.scene, options.cameras, options.out, options.width, options.height, progress, settings, options.dataset
+        options.scene, options.cameras, options.out, options.width, options.height, progress, settings, options.dataset, options.path
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
+from ..geometry.camera_path import CameraPath
 from ..io.json_files import read_edited_json
 from ..io.schema import positive
 from .load import read_dataset
@@ -25,13 +26,24 @@ def in_training_world(cameras: Sequence[Camera], file: str | os.PathLike[str], d
     Those of a nerfstudio camera path are in nerfstudio's world, and NERFSTUDIO beside the path or in the capture says where that is.
     Raises SnergError when it is missing or damaged, and as `read_dataset` does.
     """
+    similarity = to_training_world(file, dataset)
+    return tuple(camera.moved(similarity) for camera in cameras)
+
+
+def placed_path(path: CameraPath, file: str | os.PathLike[str], dataset: Path | None) -> CameraPath:
+    """The path of `file` in the world in which the capture at `dataset` is trained; as it is where that is None."""
+    return path if dataset is None else path.moved(to_training_world(file, dataset))
+
+
+def to_training_world(file: str | os.PathLike[str], dataset: Path) -> NDArray[Any]:
+    """The similarity [4, 4] of `in_training_world`. Raises as it does."""
     found = read_dataset(dataset)
     root = found.root if found.root.is_dir() else found.root.parent
     value = read_edited_json(Path(file))
     to_capture = np.eye(4)
     if isinstance(value, dict) and "camera_path" in value:
         to_capture = from_nerfstudio(Path(file), root)
-    return tuple(camera.moved(found.source_to_world @ to_capture) for camera in cameras)
+    return np.asarray(found.source_to_world @ to_capture)
 
 
 def from_nerfstudio(path: Path, root: Path) -> NDArray[Any]:

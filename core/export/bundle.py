@@ -17,6 +17,7 @@ from typing import Any
 
 from ..errors import SnergError
 from ..geometry.camera import Camera
+from ..geometry.camera_path import CameraPath, path_bytes
 from ..io.files import MARK, new_folder
 from ..io.generation import one_generation
 from ..io.json_files import json_bytes, read_json
@@ -27,12 +28,15 @@ from .codecs import PNG, CodecSettings
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
+from .thumbnails import thumbnail_name, thumbnails
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = '<script src="viewer.js"></script>'
+PATH_SCRIPT = "path.js"  # the code that plays camera paths, in pages that have one
 STYLE_TAG = '<link rel="stylesheet" href="page.css">'
 COARSE_FROM = 64  # cells from which on a page has the scene at a quarter of its resolution too, which it shows first
 POSTER_SHARE = 0.2  # of the time of an export
+THUMBNAILS_END = 0.4  # of the time of an export that has thumbnails, after the poster
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -45,28 +49,37 @@ def write_bundle(
     codec: CodecSettings = PNG,
     source: Path | None = None,
     page: PageSettings = PLAIN,
+    path: CameraPath | None = None,
 ) -> dict[str, Any]:
     """Write index.html, page.css, viewer.js, cameras.json, a poster and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
     rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
     The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
-    holds coarse/, which the page shows as soon as somebody moves.
+    holds coarse/, which the page shows as soon as somebody moves. path: a camera path that the page can play; path.json and path.js
+    are there only with one.
     Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
-    files = viewer_files()
+    files = viewer_files(with_path=path is not None)
     cameras = [camera for camera in cameras if not camera.is_wide]
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
-    poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
-    writing = within(progress, POSTER_SHARE, 1.0)
+    first = cameras[0] if cameras else path.camera_at(path.start) if path else None
+    poster = poster_bytes(scene, first, page, rendering) if first else None
+    small = thumbnails(scene, cameras, page, within(progress, POSTER_SHARE, THUMBNAILS_END if page.thumbnails else POSTER_SHARE))
+    writing = within(progress, THUMBNAILS_END if page.thumbnails else POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
         coarse = not single_file and len(scene.cells) >= COARSE_FROM
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | ({"coarse": True} if coarse else {})))
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras, len(small)) | _flags(coarse=coarse, path=path is not None)))
+        for index, picture in enumerate(small):
+            (data / thumbnail_name(index)).parent.mkdir(exist_ok=True)
+            (data / thumbnail_name(index)).write_bytes(picture)
+        if path is not None:
+            (data / "path.json").write_bytes(path_bytes(path))
         if coarse:
             (data / "coarse").mkdir()
             write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
@@ -87,6 +100,11 @@ def write_bundle(
         return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
 
 
+def _flags(**there: bool) -> dict[str, bool]:
+    """What else the page's folder holds, as in cameras.json."""
+    return {name: True for name, is_there in there.items() if is_there}
+
+
 def _write_scene(scene: Scene, folder: Path, codec: CodecSettings, source: Path | None, progress: Progress) -> None:
     """Write the scene's files, or copy those of `source`. Of JPEG XL, which not all browsers decode, WebP lies beside it."""
     if source is not None and codec.name != "jxl":
@@ -105,15 +123,23 @@ def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
         raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start the export again.")
 
 
-def viewer_files() -> dict[str, str]:
-    """The texts of index.html, page.css and viewer.js, by their names. Raises SnergError when viewer.js is not built."""
-    paths = (VIEWER / "index.html", VIEWER / "page.css", VIEWER / "dist" / "viewer.js")
+def viewer_files(with_path: bool = False) -> dict[str, str]:
+    """The texts of index.html, page.css, viewer.js, and with a camera path path.js. Raises SnergError when the viewer is not built."""
+    scripts = (PATH_SCRIPT, "viewer.js") if with_path else ("viewer.js",)
+    paths = (VIEWER / "index.html", VIEWER / "page.css", *(VIEWER / "dist" / name for name in scripts))
     try:
-        return {path.name: path.read_text(encoding="utf-8") for path in paths}
+        files = {path.name: path.read_text(encoding="utf-8") for path in paths}
     except OSError as error:
         raise SnergError(
             f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
         ) from error
+    files["index.html"] = files["index.html"].replace(SCRIPT_TAG, "\n".join(script_tag(name) for name in scripts))
+    return files
+
+
+def script_tag(name: str) -> str:
+    """The tag of a script beside the page."""
+    return SCRIPT_TAG.replace("viewer.js", name)
 
 
 def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False) -> None:
@@ -129,15 +155,18 @@ def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False
     codec.check()
 
 
-def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
+def cameras_json(cameras: Sequence[Camera], thumbnails: int = 0) -> dict[str, Any]:
     """The value of cameras.json: pixels from the top left corner, OpenGL camera-to-world, world units. The page ignores distortion.
 
-    Panoramas and fisheyes that are computed in angles are left out: the page cannot draw them.
+    Panoramas and fisheyes that are computed in angles are left out: the page cannot draw them. thumbnails: how many cameras have one.
     """
+    drawn = [camera.to_json() for camera in cameras if not camera.is_wide]
+    for index, value in enumerate(drawn[:thumbnails]):
+        value["thumbnail"] = thumbnail_name(index)
     return {
         "format": "snerg-cameras",
         "version": 1,
-        "cameras": [camera.to_json() for camera in cameras if not camera.is_wide],
+        "cameras": drawn,
     }
 
 
@@ -147,10 +176,11 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
     The files are encoded one at a time, so that they are not all in memory. files: of `viewer_files`.
     """
     # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
-    style, script = files["page.css"], files["viewer.js"].replace("</script", "<\\/script")
+    scripts = {name: text.replace("</script", "<\\/script") for name, text in files.items() if name.endswith(".js")}
+    style = files["page.css"]
     page = files["index.html"].replace(STYLE_TAG, f"<style>{style}</style>")
-    for kind, text in (("script-src", script), ("style-src", style)):  # a browser runs only the script with this hash
-        page = page.replace(f"{kind} 'self'", f"{kind} 'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
+    for kind, texts in (("script-src", scripts.values()), ("style-src", [style])):  # a browser runs only the scripts with these hashes
+        page = page.replace(f"{kind} 'self'", " ".join([kind, *map(_hash, texts)]))
     before, after = page.split(FILES_MARK)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
@@ -159,7 +189,14 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
             file.write(before)
             for tag in file_tags(data):
                 file.write(tag)
-            file.write(after.replace(SCRIPT_TAG, f"<script>{script}</script>"))
+            for name, text in scripts.items():
+                after = after.replace(script_tag(name), f"<script>{text}</script>")
+            file.write(after)
+
+
+def _hash(text: str) -> str:
+    """The source of a Content-Security-Policy that a text inside the page is."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def file_tags(folder: Path) -> Iterator[str]:

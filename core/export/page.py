@@ -33,6 +33,8 @@ def page_html(template: str, settings: PageSettings, poster: str | None) -> str:
         attributes["distance"] = pair(settings.distance)
     if settings.elevation:
         attributes["elevation"] = pair(settings.elevation)
+    if settings.play:
+        attributes["play"] = ""
     tag = "".join(f' {name}="{html.escape(value)}"' for name, value in attributes.items())
     heading = HEADING.replace("SNeRG", html.escape(settings.title or "SNeRG"))
     return template.replace(TITLE, _head(settings, poster)).replace(HEADING, heading).replace(ELEMENT, f"{ELEMENT[:-1]}{tag}>")
@@ -57,12 +59,17 @@ def _head(settings: PageSettings, poster: str | None) -> str:
 
 def poster_bytes(scene: Scene, camera: Camera, settings: PageSettings, progress: Progress) -> bytes:
     """A WebP picture of the scene from a camera, over the page's background. Raises as `render_scene` does."""
-    scale = min(1.0, POSTER_SIDE / max(camera.width, camera.height))
+    return picture_bytes(scene, camera, settings, POSTER_SIDE, POSTER_QUALITY, progress)
+
+
+def picture_bytes(scene: Scene, camera: Camera, settings: PageSettings, side: int, quality: int, progress: Progress) -> bytes:
+    """A WebP picture as `poster_bytes`, of which the longer side has at most `side` pixels. quality: 0 to 100."""
+    scale = min(1.0, side / max(camera.width, camera.height))
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     value = BACKGROUNDS[settings.background]
     picture = to_uint8(render_scene(scene, small, progress=progress).over((value, value, value)))
     buffer = io.BytesIO()
-    Image.fromarray(picture).save(buffer, format="WEBP", quality=POSTER_QUALITY, method=4)
+    Image.fromarray(picture).save(buffer, format="WEBP", quality=quality, method=4)
     return buffer.getvalue()
 
 

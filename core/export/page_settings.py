@@ -8,6 +8,8 @@ from ..errors import SnergError
 
 BACKGROUNDS = {"white": 1.0, "grey": 128 / 255, "black": 0.0}
 
+THUMBNAILS = 24  # cameras that have a small picture, where nothing else is asked for
+
 
 @dataclass(frozen=True)
 class PageSettings:
@@ -19,6 +21,9 @@ class PageSettings:
     background: str = "white"  # of BACKGROUNDS
     distance: tuple[float, float] | None = None  # nearest and farthest orbit, in units of the scene, from the point that is looked at
     elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
+
+    play: bool = False  # whether the page's camera path plays as soon as the scene is there
+    thumbnails: int = 0  # cameras at most that have a small picture in the page's list
 
     def __post_init__(self) -> None:
         if self.background not in BACKGROUNDS:

@@ -50,6 +50,7 @@ class TrainSettings:
     density_noise: float = 0.0  # standard deviation of noise on the density before its activation (NeRF, appendix A: 1, real scenes)
     sparsity: float = 1e-5  # weight of the Cauchy loss, eq. 8 (ours: the samples are of occupied cells; section 4.3: 1e-4, of all)
     alpha: float = 0.1  # weight of the squared error of alpha, for images that have it (ours; the paper has none)
+    diffuse: float = 0.0  # packed: weight of the error of the diffuse colour, for datasets with that pass; off unless asked for (ours)
     hardness: float = 5e-4  # packed: weight of the opacity regulariser, `losses.softness` (ours: a third fewer voxels; 1e-3 is worse)
 
     # Optimizer.
@@ -90,6 +91,7 @@ class TrainSettings:
             ("density_noise", 0, 100),
             ("sparsity", 0, 100),
             ("alpha", 0, 100),
+            ("diffuse", 0, 100),
             ("hardness", 0, 100),
             ("network_rate", 0, 100),
             ("view_rate", 0, 100),
@@ -109,6 +111,8 @@ class TrainSettings:
             raise SnergError(f"Training for {self.steps} steps trains nothing; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds trains nothing; give a time above 0, or steps.")
+        if self.diffuse and self.sampler != "packed":
+            raise SnergError("The setting diffuse is only for the packed sampler; set diffuse to 0 for the hierarchical one.")
         for name, wanted in (("opaque", self.opaque), ("hierarchy", self.hierarchy == "on")):
             if wanted and self.sampler != "hierarchical":
                 raise SnergError(f"The setting {name} is only for the hierarchical sampler; set sampler=hierarchical with it.")

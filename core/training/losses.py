@@ -60,6 +60,17 @@ def over(target: Any, background: Any = 1.0) -> tuple[Any, Any]:
     return target[:, :3] * alpha + (1 - alpha) * background, alpha[:, 0]
 
 
+def diffuse_error(xnp: Any, colour: Any, diffuse: Any, target: Any) -> Any:
+    """The squared error [R] of the composited diffuse colours [R, 3] against the diffuse pass, by the pass's share of each pixel's light.
+
+    diffuse: [R, 3], target: [R, 4], the pixels of the pass and of the picture, uint8 with the picture's straight alpha. The share keeps
+    mirrors out, whose diffuse colour is black: there the field's geometry is learned from what they reflect. Method of our own.
+    """
+    wanted, shown = diffuse.astype(xnp.float32) / 255, target.astype(xnp.float32) / 255
+    share = xnp.clip(wanted.sum(axis=-1) / xnp.maximum(shown[:, :3].sum(axis=-1), 1 / 255), 0, 1)
+    return share * ((colour - wanted * shown[:, 3:]) ** 2).mean(axis=-1)
+
+
 def mse_to_psnr(error: float) -> float:
     """PSNR in dB of a mean squared error of colours in [0, 1]; 100 dB at most, so that an error of 0 stays finite (hard case 30)."""
     return -10 * math.log10(max(error, 1e-10))

@@ -20,7 +20,7 @@ from ..nerf.sampling import CELLS, Domain, Occupancy, estimates, pack_samples
 from ..nerf.shading import ray_colour, sample_values
 from ..nerf.volume_rendering import composite, depth_before, optical_depth
 from .config import TrainSettings
-from .losses import backgrounds, cauchy, over, softness
+from .losses import backgrounds, cauchy, diffuse_error, over, softness
 from .ray_dataset import RayDataset
 from .sampler import Batch
 from .termination_depth import DARK, LEFT, TerminationDepths
@@ -122,6 +122,8 @@ class OccupancySampler:
         }
         if self.settings.background != "white":
             arrays["background"] = backgrounds(self.settings.background, most, self.rng)
+        if self.ray_dataset.diffuse is not None:
+            arrays["diffuse"] = filled(most, self.ray_dataset.diffuse[index])
         if self.settings.density_noise:
             arrays["noise"] = self.rng.standard_normal(size, np.float32) * np.float32(self.settings.density_noise)
         return Batch(arrays, count, int(used.sum()))
@@ -155,7 +157,8 @@ class OccupancySampler:
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-    """(loss, aux): squared error (eq. 3), sparsity (eq. 8), squared error of alpha, opacity regulariser (`losses.softness`).
+    """(loss, aux): squared error (eq. 3), sparsity (eq. 8), squared error of alpha, opacity regulariser (`losses.softness`),
+    error of the diffuse colour (`losses.diffuse_error`).
 
     aux: "error", the squared error alone; "lit_samples" [R], how many samples of a ray have a transmittance above DARK before
     them; "depth" [R], the optical depth of a ray.
@@ -176,6 +179,9 @@ def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dic
         loss = loss + settings.hardness * (softness(weights) * used[ray]).sum() / batch["rays"]
     if has_alpha:
         loss = loss + settings.alpha * ((1 - transmittance - alpha) ** 2 * used).sum() / batch["rays"]
+    if "diffuse" in batch:
+        error_of_light = diffuse_error(jnp, gathered[:, :3], batch["diffuse"], batch["target"])
+        loss = loss + settings.diffuse * (error_of_light * used).sum() / batch["rays"]
     lit = batch["valid"] & (depth_before(jnp, depth, ray) < -math.log(DARK))
     per_ray = jnp.zeros((len(directions), 2)).at[ray].add(jnp.stack([lit, depth], axis=-1), indices_are_sorted=True)
     return loss, {"error": error, "lit_samples": per_ray[:, 0], "depth": per_ray[:, 1]}

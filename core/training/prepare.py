@@ -22,6 +22,7 @@ from . import decisions, known_depth, view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
 from .hierarchical_sampler import HierarchicalSampler
+from .light import diffuse_pixels
 from .losses import plain_colour
 from .occupancy_sampler import OccupancySampler
 from .ray_dataset import RayDataset
@@ -59,6 +60,8 @@ def prepare(dataset: Dataset, settings: TrainSettings, progress: Progress, held_
     """
     masks = masks_of(dataset)
     rays, transparency = read_pixels(dataset, settings, masks, progress)
+    if settings.diffuse:
+        rays.diffuse = diffuse_pixels(dataset)
     domain, ndc, occupied, of_space = find_domain(dataset, settings, rays, masks, progress)
     rays.domain, rays.ndc = domain, ndc
     if ndc is None:

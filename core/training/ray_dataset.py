@@ -20,7 +20,8 @@ class RayDataset:
     """The pixels of all views and their rays. Pixels are numbered view after view, row by row.
 
     pixels: [N, 4] uint8, sRGB with straight alpha, which is 255 where an image has none. alpha: whether every image has an alpha channel
-    and some pixel is not opaque. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
+    and some pixel is not opaque. diffuse: [N, 3] uint8, the sRGB colour of the light on diffuse surfaces, with the alpha of `pixels`; None
+    where it is not trained on. withheld: [views] bool, views from which `draw` draws no pixel; callers may set it at any time.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class RayDataset:
         self._set_lenses(cameras)
         self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
         self.alpha = self._fill(images)
+        self.diffuse: NDArray[Any] | None = None
         self.useful = self._unmasked(cameras, masks or [None] * len(cameras))
 
     def _set_lenses(self, cameras: Sequence[Camera]) -> None:

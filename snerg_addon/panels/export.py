@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..camera_move import counted, may_move
 from ..project import project_of
 from ..properties import LOSSY
 from .layout import Step, draw_box, joined, megabytes
@@ -24,6 +25,8 @@ class ExportStep(Step):
     def draw_step(self, layout: bpy.types.UILayout, settings: Any, context: bpy.types.Context) -> None:
         """The settings, the buttons, and the size of what was exported."""
         layout.prop(settings, "web_cameras")
+        layout.prop(settings, "web_thumbnails")
+        draw_move(layout, settings, context.scene)
         column = layout.column(align=True)
         column.prop(settings, "codec")
         if settings.codec in LOSSY:
@@ -43,6 +46,24 @@ class ExportStep(Step):
         )
         if project.has("web"):
             layout.operator("snerg.open_page", icon="WORLD")
+
+
+def draw_move(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
+    """Whether the page plays the animated camera, and what that adds to it."""
+    if not may_move(scene):
+        row = layout.row()
+        row.enabled = False
+        row.label(text="No camera is animated", icon="CAMERA_DATA")
+        return
+    layout.prop(settings, "web_path")
+    if not settings.web_path:
+        return
+    layout.prop(settings, "web_play")
+    known = counted(scene)
+    if known:
+        layout.label(text=known, icon="CAMERA_DATA")
+    else:
+        layout.operator("snerg.count_keyframes", icon="CAMERA_DATA")
 
 
 def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:

@@ -16,11 +16,13 @@ from flax_checkpoint import networks, tree, write
 from scenes import make_snerg
 from snerg.core.cli import parser
 from snerg.core.commands.train import train_field
+from snerg.core.data.readers.path_files import read_path
 from snerg.core.errors import Cancelled, SnergError
 from snerg.core.export.scene_files import write_scene
 from snerg.core.jobs.task import StepTask
 from snerg.snerg_addon import estimate_panel
 from snerg.snerg_addon.bridge import STUDY
+from snerg.snerg_addon.camera_move import counted, summary
 from snerg.snerg_addon.project import project_of
 from snerg.snerg_addon.steps import next_step
 
@@ -240,7 +242,32 @@ def test_a_page_needs_no_cameras(scene, monkeypatch):
         started(monkeypatch, "export_web")
     scene.snerg.web_cameras = "ALL"
     add_camera()
-    assert "--cameras" in started(monkeypatch, "export_web")
+    arguments = started(monkeypatch, "export_web")
+    assert "--cameras" in arguments and parser().parse_args(arguments).thumbnails == 24
+    scene.snerg.web_thumbnails = 0
+    assert parser().parse_args(started(monkeypatch, "export_web")).thumbnails == 0
+
+
+def test_a_page_plays_the_camera_where_it_moves(scene, monkeypatch):
+    """A camera that stands still, or a move that is switched off, adds nothing; what was exported is counted for the panel."""
+    write_scene(make_snerg((12, 12, 12)), project_of(scene).folder / "scenes" / "001")
+    scene.camera = camera = add_camera(location=(0.0, 0.0, 5.0))
+    scene.frame_end = 20
+    assert "--path" not in started(monkeypatch, "export_web") and not counted(scene)
+    for frame, place in ((1, 5.0), (20, 3.0)):
+        camera.location.z = place
+        camera.keyframe_insert("location", frame=frame)
+    scene.snerg.web_play = True
+    arguments = started(monkeypatch, "export_web")
+    parsed = parser().parse_args(arguments)
+    path = read_path(parsed.path)
+    assert parsed.play and (path.start, path.end) == (1, 20) and path.camera_at(20).position[2] == pytest.approx(3.0, abs=0.02)
+    assert counted(scene) == summary(path)
+    scene.frame_end = 10
+    assert counted(scene) == "", "it was counted for other frames"
+    assert bpy.ops.snerg.count_keyframes() == {"FINISHED"} and "keyframes" in counted(scene)
+    scene.snerg.web_path = False
+    assert "--path" not in started(monkeypatch, "export_web")
 
 
 def test_a_page_says_what_the_artist_wrote(scene, monkeypatch):

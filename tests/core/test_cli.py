@@ -289,7 +289,7 @@ def test_options_reach_the_bake_and_the_march(monkeypatch):
     assert seen[1][2] == BakeSettings(90, 3, network=False) and seen[1][4] is True and seen[1][6].name == "jpeg"
     assert cli.main(["eval", "x", "--tolerance", "0.01"]) == 0
     assert cli.main(["render", "x", "--cameras", "y", "--out", "z", "--per-sample-network"]) == 0
-    assert seen[2][-1] == MarchSettings(tolerance=0.01) and seen[3][-2:] == (MarchSettings(per_sample_network=True), None)
+    assert seen[2][-1] == MarchSettings(tolerance=0.01) and seen[3][-3:] == (MarchSettings(per_sample_network=True), None, None)
 
 
 def test_devices_are_described(capsys):

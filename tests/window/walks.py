@@ -12,6 +12,7 @@ import bpy
 from backgrounds import turned  # noqa: F401  # a walk too
 from box import box_handles  # noqa: F401  # a walk too
 from drive import Walk, Window
+from moves import camera_move  # noqa: F401  # a walk too
 from objects import (  # noqa: F401  # walks too
     composite,
     forward_facing,

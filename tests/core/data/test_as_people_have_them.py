@@ -19,6 +19,7 @@ from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.image_resolver import find_image
 from snerg.core.data.load import read_dataset
 from snerg.core.data.readers.camera_files import read_cameras
+from snerg.core.data.readers.path_files import read_path
 from snerg.core.errors import SnergError
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.io.images import write_png
@@ -218,9 +219,15 @@ def test_a_camera_path_of_nerfstudio(tmp_path):
     first, second = read_cameras(file)
     assert (first.width, first.height) == (60, 40) and np.allclose(first.camera_to_world, pose) and first.name != second.name
     assert np.allclose(first.focal, 20 / np.tan(np.radians(25))) and first.centre == (30, 20)
+    path = read_path(file)
+    assert (path.start, path.end, path.fps) == (1, 2, 24.0) and np.allclose(path.camera_at(2).camera_to_world, pose)
+    file.write_text(json.dumps({"render_width": 60, "render_height": 40, "fps": 30, "camera_path": [step, step, step]}))
+    assert (read_path(file).end, read_path(file).fps) == (3, 30.0)
     for kind in ("equirectangular", "fisheye"):
         file.write_text(json.dumps({"render_width": 60, "render_height": 30, "camera_type": kind, "camera_path": [step]}))
         assert read_cameras(file)[0].projection == kind
+        with pytest.raises(SnergError, match=f"{kind}; a path needs perspective"):
+            read_path(file)
     file.write_text(json.dumps({"camera_type": "omnidirectional", "camera_path": [step]}))
     with pytest.raises(SnergError, match="omnidirectional"):
         read_cameras(file)

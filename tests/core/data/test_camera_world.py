@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from captures import apply, moved, ring, similarity, thing, write_colmap, write_nerfstudio
 
-from snerg.core.data.camera_world import in_training_world
+from snerg.core.data.camera_world import in_training_world, placed_path
 from snerg.core.data.dataset import DatasetOptions
 from snerg.core.data.load import read_dataset
 from snerg.core.data.readers.camera_files import read_cameras
+from snerg.core.data.readers.path_files import read_path
 from snerg.core.errors import SnergError
 
 APPLIED = np.array([[0.0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]])  # as ns-process-data turns COLMAP's world
@@ -55,6 +56,8 @@ def test_a_camera_path_shows_what_the_photographs_show(tmp_path, kind):
     expected = read_dataset(folder, options=DatasetOptions(0)).cameras
     for camera, other in zip(found, expected, strict=True):
         assert np.allclose(camera.camera_to_world, other.camera_to_world, atol=1e-6) and np.allclose(camera.focal, other.focal)
+    path = placed_path(read_path(tmp_path / "path.json"), tmp_path / "path.json", folder)
+    assert np.allclose(path.camera_at(3).camera_to_world, expected[2].camera_to_world, atol=1e-6) and path.end == len(expected)
     (tmp_path / "dataparser_transforms.json").write_text(json.dumps({"transform": [[1, 2]], "scale": 0}))
     with pytest.raises(SnergError, match="copy it again"):
         in_training_world(found, tmp_path / "path.json", folder)

@@ -4,6 +4,8 @@ import { EXPORT_AGAIN, ViewerError } from "../errors";
 import { type FileSource, readJson } from "./files";
 import { isArray, isPositiveInteger, matrixOfRows } from "./scene";
 
+const THUMBNAIL = /^thumbnails\/\d+\.webp$/; // nothing but a file of the bundle's own
+
 /** A pinhole or orthographic camera. Pixels are counted from the top left corner; lengths are in units of the scene. */
 export interface SnergCamera {
   name: string;
@@ -15,6 +17,7 @@ export interface SnergCamera {
   near: number; // of the clip planes, along the view axis
   far?: number;
   distortion?: unknown; // of the lens; not shown
+  thumbnail?: string; // the file of its small picture, in the bundle
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
@@ -22,11 +25,12 @@ export interface SnergCamera {
 export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
+  path: boolean; // whether it has a camera path, in path.json
 }
 
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
 export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown } | null;
+  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown; path?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
@@ -35,7 +39,7 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
-  return { cameras, coarse: value.coarse === true };
+  return { cameras, coarse: value.coarse === true, path: value.path === true };
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {
@@ -50,6 +54,7 @@ function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): 
     isArray(camera.camera_to_world, [4, 4]) &&
     Number.isFinite(camera.near) &&
     (camera.far === undefined || camera.far > camera.near) &&
-    ["perspective", "orthographic"].includes(camera.projection)
+    ["perspective", "orthographic"].includes(camera.projection) &&
+    (camera.thumbnail === undefined || (typeof camera.thumbnail === "string" && THUMBNAIL.test(camera.thumbnail)))
   );
 }

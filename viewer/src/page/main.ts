@@ -1,6 +1,7 @@
 // The exported page: one <snerg-viewer>, and the address that says what it shows.
-import { asViewerError, defineElement, type SnergViewerElement } from "../index";
+import { defineElement, type SnergViewerElement } from "../viewer/element";
 import { readView, writeView } from "../viewer/shared_view";
+import { asViewerError } from "../viewer/viewer";
 
 const WRITE_DELAY = 250; // milliseconds without a change after which the address follows the view
 
@@ -53,6 +54,6 @@ element.addEventListener("view", () => {
   }, WRITE_DELAY);
 });
 const showAddressed = () => element.bar?.show(readView(addressOptions()));
-element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
+element.addEventListener("picture", () => ["view", "frame"].some((key) => addressOptions().has(key)) && showAddressed());
 window.addEventListener("hashchange", showAddressed);
 window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

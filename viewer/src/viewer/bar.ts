@@ -1,19 +1,22 @@
 // The bar below the picture: cameras, backgrounds, sharing, pictures, full screen, and the keys for them.
+import { Gallery, labelOf } from "./gallery";
 import { BACKGROUNDS, colourOf, type SharedView, writeView } from "./shared_view";
 import { findCamera, type Viewer } from "./viewer";
 
 export const MAX_SIDE = 8192; // pixels of a picture that may be asked for
+const FLIGHT = 1; // seconds from one camera to another
 const LINK_SHOWN = 2000; // milliseconds that "Copied" stays
 
 export class Bar {
+  private gallery: Gallery | null = null;
   private frameShown = false;
   private backgroundChosen = false; // by a person
 
-  /** choose(index): shows a camera. changed: called when a background is chosen. */
+  /** choose(index, duration): shows a camera after a flight of so many seconds. changed: called when a background is chosen. */
   constructor(
     private readonly root: ShadowRoot,
     private readonly viewer: Viewer,
-    private readonly choose: (index: number) => void,
+    private readonly choose: (index: number, duration: number) => void,
     changed: () => void,
   ) {
     this.fillCameras();
@@ -40,17 +43,19 @@ export class Bar {
 
   /** What a link to the present view says. */
   get view(): SharedView {
-    const { camera, atCamera, cameraToWorld, zoom } = this.viewer.state;
+    const { camera, atCamera, cameraToWorld, zoom, path } = this.viewer.state;
     const background = this.backgroundChosen ? this.background : null;
-    return { camera: camera || null, background, pose: atCamera ? null : cameraToWorld, zoom: atCamera ? 1 : zoom };
+    if (path?.shown) return { camera: null, background, pose: null, zoom: 1, frame: path.frame };
+    return { camera: camera || null, background, pose: atCamera ? null : cameraToWorld, zoom: atCamera ? 1 : zoom, frame: null };
   }
 
   /** Show what a link says; what it does not say stays. */
   show(view: SharedView): void {
     if (view.background) this.setBackground(view.background);
     const index = findCamera(this.viewer.cameras, view.camera);
-    if (index >= 0) this.choose(index);
-    if (view.pose) this.viewer.lookFrom(view.pose, view.zoom);
+    if (index >= 0) this.choose(index, view.pose || view.frame !== null ? 0 : FLIGHT);
+    if (view.frame !== null) this.viewer.path?.seek(view.frame);
+    else if (view.pose) this.viewer.lookFrom(view.pose, view.zoom);
   }
 
   setBackground(name: string): void {
@@ -67,9 +72,14 @@ export class Bar {
     else if (key === "f") void this.viewer.fullscreen();
     else if (key === "i") this.find("readout").hidden = !this.find("readout").hidden;
     else if (key === "m") this.toggleFrame();
-    else if (/^[1-9]$/.test(key) && Number(key) <= count) this.choose(Number(key) - 1);
+    else if (/^[1-9]$/.test(key) && Number(key) <= count) this.choose(Number(key) - 1, FLIGHT);
     else return false;
     return true;
+  }
+
+  /** A camera was chosen. */
+  chosen(): void {
+    this.gallery?.update();
   }
 
   /** Darken what lies outside the camera's image, as Blender does, where it was asked for, until the user moves. */
@@ -97,21 +107,22 @@ export class Bar {
     const select = this.find<HTMLSelectElement>("camera");
     // The page renders without lens distortion, and says so where the camera has one.
     const label = (name: string, distorted: boolean) => (distorted ? `${name} (lens not shown)` : name);
-    select.replaceChildren(...cameras.map((camera, i) => new Option(label(camera.name, !!camera.distortion), String(i))));
+    select.replaceChildren(...cameras.map((camera, i) => new Option(label(labelOf(camera.name, i), !!camera.distortion), String(i))));
     const shown = cameras.findIndex((camera) => camera.name === this.viewer.state.camera);
     select.value = String(Math.max(shown, 0));
-    select.onchange = () => this.choose(Number(select.value));
+    if (cameras.some((camera) => camera.thumbnail)) this.gallery = new Gallery(select, this.viewer, (index) => this.choose(index, FLIGHT));
+    select.onchange = () => this.choose(Number(select.value), FLIGHT);
     this.find("cameras").hidden = cameras.length === 0;
   }
 
   private step(by: number): void {
     const count = this.viewer.cameras.length;
-    if (count) this.choose((Math.max(Number(this.find<HTMLSelectElement>("camera").value), 0) + by + count) % count);
+    if (count) this.choose((Math.max(Number(this.find<HTMLSelectElement>("camera").value), 0) + by + count) % count, FLIGHT);
   }
 
   private reset(): void {
     if (this.viewer.cameras.length) this.step(0);
-    else void this.viewer.goTo();
+    else void this.viewer.goTo(undefined, { duration: FLIGHT });
   }
 
   private toggleFrame(): void {

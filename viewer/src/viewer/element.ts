@@ -1,6 +1,7 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
 import { Bar, MAX_SIDE } from "./bar";
+import { type PathPart, pathPart } from "./parts";
 import { colourOf } from "./shared_view";
 import style from "./style.css";
 import template from "./template.html";
@@ -17,6 +18,7 @@ const HINT_SHOWN = 1500; // milliseconds
  *   poster      a picture that is shown until the scene is there
  *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
  *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
+ *   play        where there, the camera path plays as soon as the scene is there, but not for people who asked for less motion
  *   ui          "none": without the bar
  *   width, height  of the picture in CSS pixels; else it fills the element
  *
@@ -31,6 +33,7 @@ export class SnergViewerElement extends HTMLElement {
   readonly ready: Promise<boolean>;
   /** The bar and what it can do; null until there is a picture. */
   bar: Bar | null = null;
+  private pathBar: InstanceType<PathPart["PathBar"]> | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -61,6 +64,7 @@ export class SnergViewerElement extends HTMLElement {
     this.viewer?.destroy();
     this.viewer = null;
     this.bar = null;
+    this.pathBar = null;
   }
 
   /** Show a message in place of the scene. */
@@ -74,14 +78,15 @@ export class SnergViewerElement extends HTMLElement {
     this.settle(false);
   }
 
-  /** Show the camera of that name or number, as its entry in the list does. */
-  choose(name: string | number): void {
+  /** Show the camera of that name or number, as its entry in the list does. duration: seconds of a flight there. */
+  choose(name: string | number, duration = 0): void {
     const { viewer } = this;
     if (!viewer) return;
     const index = typeof name === "number" ? name : findCamera(viewer.cameras, name);
     if (!viewer.cameras[index]) return;
     this.find<HTMLSelectElement>("camera").value = String(index);
-    void viewer.goTo(index);
+    this.bar?.chosen();
+    void viewer.goTo(index, { duration });
     this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
   }
 
@@ -100,6 +105,7 @@ export class SnergViewerElement extends HTMLElement {
       camera: this.getAttribute("camera"),
       background: colourOf(background),
       size,
+      play: this.hasAttribute("play"),
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
     this.viewer = viewer;
@@ -126,11 +132,12 @@ export class SnergViewerElement extends HTMLElement {
       this.bar = new Bar(
         this.root,
         viewer,
-        (index) => this.choose(index),
+        (index, duration) => this.choose(index, duration),
         () => this.dispatchEvent(new CustomEvent("view")),
       );
       this.bar.setBackground(background);
       this.find("bar").hidden = this.getAttribute("ui") === "none";
+      this.addPathBar(viewer);
       this.dispatchEvent(new CustomEvent("picture"));
     });
     viewer.on("view", () => {
@@ -153,6 +160,15 @@ export class SnergViewerElement extends HTMLElement {
       },
       () => {}, // it was said by "error"
     );
+  }
+
+  private addPathBar(viewer: Viewer): void {
+    const part = pathPart();
+    if (!viewer.path || !part) return;
+    const bar = new part.PathBar(this.root, viewer.path);
+    bar.hidden = this.getAttribute("ui") === "none";
+    viewer.on("path", () => bar.update());
+    this.pathBar = bar;
   }
 
   private fixedSize(): { width: number; height: number } | undefined {
@@ -178,6 +194,8 @@ export class SnergViewerElement extends HTMLElement {
     const origin = event.composedPath()[0];
     const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    const onButton = origin instanceof HTMLElement && origin.matches("button");
+    if (this.pathBar?.press(event.key, onButton)) return event.preventDefault();
     if (this.bar?.press((event.key ?? "").toLowerCase())) event.preventDefault(); // null when the browser fills in a form
   }
 }

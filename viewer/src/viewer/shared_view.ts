@@ -15,6 +15,7 @@ export interface SharedView {
   background: string | null; // of BACKGROUNDS
   pose: number[][] | null; // camera-to-world, four rows; null for the camera's own
   zoom: number; // of an orthographic camera
+  frame: number | null; // of the camera path, where the view is its
 }
 
 /** A background by its name; white for an unknown name. */
@@ -29,6 +30,8 @@ export function writeView(parameters: URLSearchParams, view: SharedView): URLSea
   if (view.background !== null) parameters.set("background", view.background);
   if (view.pose === null) parameters.delete("view");
   else parameters.set("view", numbersOf(view.pose).map(short).join(","));
+  if (view.frame === null) parameters.delete("frame");
+  else parameters.set("frame", short(view.frame));
   if (view.zoom === 1) parameters.delete("zoom");
   else parameters.set("zoom", short(view.zoom));
   return parameters;
@@ -37,12 +40,14 @@ export function writeView(parameters: URLSearchParams, view: SharedView): URLSea
 /** The view in the parameters of an address; what is missing or damaged is null there. */
 export function readView(parameters: URLSearchParams): SharedView {
   const background = parameters.get("background");
+  const frame = Number.parseFloat(parameters.get("frame") ?? "");
   const zoom = Number(parameters.get("zoom") ?? 1);
   return {
     camera: parameters.get("camera"),
     background: background !== null && BACKGROUNDS.has(background) ? background : null,
     pose: poseOf((parameters.get("view") ?? "").split(",").map(Number)),
     zoom: zoom > 0 && Number.isFinite(zoom) ? zoom : 1,
+    frame: Number.isFinite(frame) ? frame : null,
   };
 }
 

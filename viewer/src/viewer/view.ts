@@ -95,10 +95,15 @@ export class View {
     return { ...UNNAMED, width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], cameraToWorld };
   }
 
-  /** Show the image of a camera; the orbit starts there, around the point before the camera that is nearest to the centre. */
-  jump(camera: Viewed): void {
+  /**
+   * Show the image of a camera; the orbit starts there, around the point before the camera that is nearest to the centre.
+   *
+   * shared: whether it is a view of its own, and not that of the exported camera of its name.
+   */
+  jump(camera: Viewed, shared = false): void {
     this.camera = camera;
-    this.shared = false;
+    this.shared = shared;
+    this.lookedZoom = 1;
     this.place();
     this.changed();
   }
@@ -106,9 +111,8 @@ export class View {
   /** Look from another pose with the lens of the camera. zoom: of an orthographic camera. */
   lookFrom(cameraToWorld: Matrix4, zoom: number): void {
     const focal = this.camera.projection === "orthographic" ? this.camera.focal.map((f) => f * zoom) : this.camera.focal;
+    this.jump({ ...this.camera, focal: focal as [number, number], cameraToWorld }, true);
     this.lookedZoom = zoom;
-    this.jump({ ...this.camera, focal: focal as [number, number], cameraToWorld });
-    this.shared = true;
     this.onChange();
   }
 
@@ -124,7 +128,7 @@ export class View {
     const [up, backward] = [1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.cameraToWorld, column));
     const forward = backward.negate();
     const position = positionOf(camera.cameraToWorld).sub(this.centre).divideScalar(this.orbitScale);
-    const distance = Math.max(-position.dot(forward), MIN_ORBIT_DISTANCE);
+    const distance = this.orbitDistance(camera) / this.orbitScale;
     const target = position.clone().addScaledVector(forward, distance);
     if (Math.hypot(forward.x, forward.y) < MIN_TILT) target.addScaledVector(up.setZ(0), -MIN_TILT * Math.sign(forward.z) * distance);
     this.jumping = true;
@@ -135,6 +139,19 @@ export class View {
     this.fitOrbitCameras();
     this.controls.update();
     this.jumping = false;
+  }
+
+  /** How far before a camera lies the point that an orbit from it turns around, in units of the scene. */
+  orbitDistance({ cameraToWorld }: Viewed): number {
+    const backward = new Vector3().setFromMatrixColumn(cameraToWorld, 2);
+    return Math.max(positionOf(cameraToWorld).sub(this.centre).dot(backward), MIN_ORBIT_DISTANCE * this.orbitScale);
+  }
+
+  /** The view as a camera of its own. */
+  get current(): Viewed {
+    const zoom = this.atCamera ? 1 : (this.controls.object as PerspectiveCamera).zoom;
+    const focal = this.camera.focal.map((f) => f * zoom) as [number, number];
+    return { ...this.camera, focal, cameraToWorld: this.pose().clone() };
   }
 
   /** Turn the orbit, by radians. */

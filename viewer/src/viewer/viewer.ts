@@ -1,11 +1,14 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
 import { readCameras, type SnergCamera } from "../data/cameras";
-import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/files";
+import { EmbeddedFiles, type FileSource, readJson, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
-import { ViewerError } from "../errors";
+import { EXPORT_AGAIN, ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
+import { between, eased, wantsLessMotion } from "./flight";
+import { pathPart } from "./parts";
+import type { CameraPath, PathCamera, PathPlayer, PathState } from "./path";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import { rowsOf } from "./shared_view";
 import { type OrbitLimits, View } from "./view";
@@ -32,6 +35,8 @@ export interface ViewerOptions {
   /** The canvas's size in CSS pixels; else it follows the container. */
   size?: { width: number; height: number };
   limits?: OrbitLimits;
+  /** Play the camera path, if there is one, as soon as the scene is there; not for people who asked for less motion. */
+  play?: boolean;
   signal?: AbortSignal;
 }
 
@@ -39,6 +44,7 @@ export interface ViewerEvents {
   progress: LoadProgress;
   image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
   view: ViewerState;
+  path: PathState; // somebody plays, stops or moves along the camera path
   error: ViewerError;
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
 }
@@ -49,6 +55,7 @@ export interface ViewerState {
   cameraToWorld: number[][]; // of the view: four rows, Blender's axes
   zoom: number; // of an orthographic camera, from its own
   frame: [number, number, number, number]; // where the camera's image lies: left, top, width, height in CSS pixels
+  path: PathState | null; // null where there is no camera path
 }
 
 export interface Viewer {
@@ -61,8 +68,15 @@ export interface Viewer {
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
+  /** The camera path: `seek`, `loop` and `speed`; null without one, and until there is a picture. */
+  readonly path: PathPlayer | null;
+  /** Play the camera path from where it stands; nothing happens without one. */
+  play(): void;
+  pause(): void;
   /** Look from a pose, camera-to-world in four rows, with the lens of the camera that is shown. zoom: of an orthographic camera. */
   lookFrom(cameraToWorld: number[][], zoom?: number): void;
+  /** The small picture of a camera; null where it has none, or the file does not arrive. */
+  thumbnail(index: number): Promise<Blob | null>;
   /** Turn the orbit, by radians. */
   turn(right: number, up: number): void;
   /** Resolves when the page shows the full image of the view. */
@@ -83,6 +97,7 @@ class CanvasViewer implements Viewer {
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
+  private readonly source: FileSource;
   private readonly listeners = new Map<string, Set<(event: never) => void>>();
   private renderer: ProgressiveRenderer | null = null;
   private view: View | null = null;
@@ -90,6 +105,9 @@ class CanvasViewer implements Viewer {
   private scene: SnergScene | null = null;
   private whole = false; // whether the scene itself is shown, and not the coarse one
   private flight = 0; // counts flights, so that a new one ends the one before
+  private flying: Promise<void> | null = null;
+  private readPath: CameraPath | null = null;
+  path: PathPlayer | null = null;
   private colour: Colour;
   private readonly observer = new ResizeObserver(() => this.follow());
 
@@ -98,6 +116,7 @@ class CanvasViewer implements Viewer {
     private readonly options: ViewerOptions,
   ) {
     this.colour = options.background ?? [1, 1, 1, 1];
+    this.source = options.src ? sourceOf(options.src) : ownFiles();
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
     this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
@@ -113,19 +132,21 @@ class CanvasViewer implements Viewer {
 
   private async load(): Promise<void> {
     const { signal } = this.abort;
-    const source = this.options.src ? sourceOf(this.options.src) : ownFiles();
+    const { source } = this;
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
-    const [{ cameras, coarse }, scene] = await Promise.all([
+    const [{ cameras, coarse, path }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
     this.scene = scene;
+    if (path) this.readPath = await readPath(source, signal);
     const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
     if (first) await this.show(first);
     await this.show(scene);
     this.whole = true;
     await this.renderer?.settled();
+    if (this.options.play && !wantsLessMotion()) this.play();
   }
 
   /** Show a scene in place of the one before, when all of it is on the card. */
@@ -154,6 +175,15 @@ class CanvasViewer implements Viewer {
     this.renderer.background = this.colour;
     const first = Math.max(findCamera(cameras, this.options.camera ?? null), 0);
     if (cameras[first]) view.jump(cameras[first]);
+    const part = pathPart();
+    if (this.readPath && part) {
+      this.path = new part.PathPlayer(
+        this.readPath,
+        (camera) => this.showPath(camera),
+        () => this.pathChanged(),
+      );
+      if (!cameras[first]) this.path.seek(this.readPath.start);
+    }
     this.observer.observe(this.container);
     this.follow();
   }
@@ -171,13 +201,15 @@ class CanvasViewer implements Viewer {
 
   get state(): ViewerState {
     const { view } = this;
-    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0] };
+    const path = this.path?.state ?? null;
+    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0], path };
     return {
       camera: view.camera.name,
       atCamera: view.atCamera && !view.shared,
       cameraToWorld: rowsOf(view.pose()),
       zoom: view.zoom,
       frame: view.frame,
+      path,
     };
   }
 
@@ -197,31 +229,74 @@ class CanvasViewer implements Viewer {
     const index = camera === undefined ? -1 : typeof camera === "number" ? camera : findCamera(this.cameras, camera);
     if (camera !== undefined && !this.cameras[index]) throw new ViewerError(`There is no camera ${camera}.`);
     const target = this.cameras[index] ?? view.overview();
-    const flight = ++this.flight;
-    const still = duration <= 0 || matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (!still && target.projection === view.camera.projection) {
-      const from = { ...view.camera, cameraToWorld: view.pose().clone() };
-      const began = performance.now();
-      for (let part = 0; part < 1 && flight === this.flight; ) {
-        part = Math.min(((await nextFrame()) - began) / (1000 * duration), 1);
-        if (flight === this.flight && part < 1) view.jump(between(from, target, part * part * (3 - 2 * part)));
-      }
+    this.stop();
+    const flight = this.flight;
+    if (duration > 0 && !wantsLessMotion() && target.projection === view.camera.projection) {
+      this.flying = this.fly(target, duration, flight);
+      await this.flying;
     }
     if (flight === this.flight) view.jump(target);
   }
 
-  lookFrom(cameraToWorld: number[][], zoom = 1): void {
+  /** Move the view to a camera, until another flight begins. */
+  private async fly(target: View["camera"], duration: number, flight: number): Promise<void> {
+    const view = this.view as View;
+    const from = view.current;
+    const distances = [view.controls.getDistance() * view.orbitScale, view.orbitDistance(target)] as const;
+    const began = performance.now();
+    for (let part = 0; part < 1 && flight === this.flight; ) {
+      part = Math.min(((await nextFrame()) - began) / (1000 * duration), 1);
+      if (flight === this.flight && part < 1) view.jump(between(from, target, eased(part), distances), true);
+    }
+  }
+
+  /** End a flight, and leave the path. */
+  private stop(): void {
     this.flight++;
+    this.path?.leave();
+  }
+
+  play(): void {
+    this.path?.play();
+  }
+
+  pause(): void {
+    this.path?.pause();
+  }
+
+  private showPath(camera: PathCamera): void {
+    this.flight++;
+    this.view?.jump(cameraOf(camera), true);
+  }
+
+  private pathChanged(): void {
+    if (this.path) this.emit("path", this.path.state);
+  }
+
+  lookFrom(cameraToWorld: number[][], zoom = 1): void {
+    this.stop();
     this.view?.lookFrom(matrixOfRows(cameraToWorld), zoom);
   }
 
+  async thumbnail(index: number): Promise<Blob | null> {
+    const name = this.cameras[index]?.thumbnail;
+    if (!name) return null;
+    try {
+      return new Blob([(await this.source.read(name, this.abort.signal)) as Uint8Array<ArrayBuffer>], { type: "image/webp" });
+    } catch {
+      return null; // the list has its label
+    }
+  }
+
   turn(right: number, up: number): void {
-    this.flight++;
+    this.stop();
     this.view?.turn(right, up);
   }
 
-  settled(): Promise<void> {
-    return this.renderer ? this.renderer.settled() : this.ready;
+  async settled(): Promise<void> {
+    if (!this.renderer) return this.ready;
+    await this.flying;
+    return this.renderer.settled();
   }
 
   async capture({ width, height, alpha = false }: { width?: number; height?: number; alpha?: boolean } = {}): Promise<Blob> {
@@ -243,7 +318,7 @@ class CanvasViewer implements Viewer {
   }
 
   destroy(): void {
-    this.flight++;
+    this.stop();
     this.abort.abort(new ViewerError("The viewer was closed."));
     this.observer.disconnect();
     this.renderer?.dispose();
@@ -263,6 +338,7 @@ class CanvasViewer implements Viewer {
   }
 
   private viewChanged(): void {
+    if (this.view && !this.view.atCamera) this.stop(); // somebody moves it
     this.renderer?.change();
     this.emit("view", this.state);
   }
@@ -316,6 +392,15 @@ export function findCamera(cameras: readonly SnergCamera[], text: string | null)
   return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
 }
 
+/** The camera path of a bundle. Rejects with a ViewerError where it is missing or damaged, or the code that plays it is missing. */
+async function readPath(source: FileSource, signal: AbortSignal): Promise<CameraPath> {
+  const part = pathPart();
+  if (!part) throw new ViewerError("The file path.js, which plays the camera path, is missing. Upload the whole folder of the page.");
+  const path = part.pathOf(await readJson(source, "path.json", signal));
+  if (!path) throw new ViewerError(`The file path.json is damaged: it is not a camera path. ${EXPORT_AGAIN}`);
+  return path;
+}
+
 /** Without an address, the files inside the page, or else those beside it. */
 const ownFiles = (): FileSource => (EmbeddedFiles.areThere() ? new EmbeddedFiles("") : new ServerFiles("."));
 
@@ -338,18 +423,9 @@ function makeRenderer(canvas: HTMLCanvasElement, fail: (error: ViewerError) => v
 
 const nextFrame = (): Promise<number> => new Promise((resolve) => requestAnimationFrame(() => resolve(performance.now())));
 
-/** A camera on the way from one to another: part 0 is the first, 1 the second. */
-function between<T extends Omit<SnergCamera, "name">>(from: T, to: T, part: number): T {
-  const [a, b] = [from, to].map((camera) => {
-    const position = new Vector3();
-    const rotation = new Quaternion();
-    camera.cameraToWorld.decompose(position, rotation, new Vector3());
-    return { position, rotation };
-  });
-  const rotation = a.rotation.slerp(b.rotation, part);
-  const cameraToWorld = new Matrix4().compose(a.position.lerp(b.position, part), rotation, new Vector3(1, 1, 1));
-  const scale = to.height / from.height; // the lens, in heights of the picture
-  const focal = from.focal.map((f, i) => f * scale * (to.focal[i] / (f * scale)) ** part) as [number, number];
-  const centre = from.centre.map((c, i) => c * (i ? scale : to.width / from.width) * (1 - part) + to.centre[i] * part) as [number, number];
-  return { ...to, name: "", focal, centre, cameraToWorld };
+/** A path's camera as the viewer's others are. */
+function cameraOf({ position, rotation, ...rest }: PathCamera): SnergCamera {
+  const [x, y, z] = position;
+  const turn = new Quaternion(...(rotation as [number, number, number, number]));
+  return { ...rest, cameraToWorld: new Matrix4().compose(new Vector3(x, y, z), turn.normalize(), new Vector3(1, 1, 1)) };
 }

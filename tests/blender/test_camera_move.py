@@ -1,0 +1,201 @@
+"""The camera's move over the frame range: as Blender's own renders would look, whatever moves the camera."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Vector
+from stage import add_camera
+
+from snerg.core.errors import SnergError
+from snerg.core.geometry.box import Box
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.camera_path import TOLERANCE, CameraPath
+from snerg.snerg_addon.bridge import camera_from_blender
+from snerg.snerg_addon.camera_move import camera_move, is_animated, may_move
+from snerg.snerg_addon.shots import active_at
+
+BOX = Box.axis_aligned([-0.8] * 3, [0.8] * 3)
+
+
+@pytest.fixture
+def stage(scene: Any) -> Any:
+    """A scene of 40 frames, at one that is not among them, with a camera at rest."""
+    scene.frame_start, scene.frame_end, scene.render.fps = 11, 50, 25
+    scene.render.resolution_x, scene.render.resolution_y = 320, 240
+    scene.camera = add_camera("Camera", (0.0, -5.0, 1.0))
+    scene.camera.rotation_euler = (-scene.camera.location).to_track_quat("-Z", "Y").to_euler()
+    scene.frame_set(7)
+    yield scene
+    scene.timeline_markers.clear()
+    scene.frame_start, scene.frame_end, scene.render.fps = 1, 250, 24
+    scene.frame_set(1)
+
+
+def keyed(thing: Any, path: str, *keys: tuple[int, Any]) -> None:
+    for frame, value in keys:
+        setattr(thing, path, value)
+        thing.keyframe_insert(path, frame=frame)
+
+
+def turntable(scene: Any) -> None:
+    """A parent that turns, scaled: the camera inherits its pose."""
+    parent = bpy.data.objects.new("Turntable", None)
+    scene.collection.objects.link(parent)
+    parent.scale = (2.0, 2.0, 2.0)
+    scene.camera.parent, scene.camera.location = parent, (0.0, -2.5, 0.5)
+    keyed(parent, "rotation_euler", (11, (0, 0, 0)), (51, (0, 0, 2 * math.pi)))
+
+
+def even_turntable(scene: Any) -> None:
+    """The same at an even speed, by a driver: a turn needs only so many keys that each is less than half a turn."""
+    turntable(scene)
+    parent = scene.camera.parent
+    parent.animation_data_clear()
+    parent.driver_add("rotation_euler", 2).driver.expression = "(frame - 11) * pi / 20"
+
+
+def on_a_curve(scene: Any) -> None:
+    """It follows a curve and tracks an object."""
+    curve = bpy.data.curves.new("Rail", "CURVE")
+    curve.dimensions, curve.path_duration = "3D", 40
+    spline = curve.splines.new("BEZIER")
+    spline.bezier_points.add(2)
+    for point, place in zip(spline.bezier_points, ((4, -4, 1), (5, 1, 2.5), (-1, 4, 0.5)), strict=True):
+        point.co, point.handle_left_type, point.handle_right_type = place, "AUTO", "AUTO"
+    rail, target = bpy.data.objects.new("Rail", curve), bpy.data.objects.new("Target", None)
+    for thing in (rail, target):
+        scene.collection.objects.link(thing)
+    target.location, scene.camera.location = (0.1, 0.2, 0.0), (0.0, 0.0, 0.0)
+    follow = scene.camera.constraints.new("FOLLOW_PATH")
+    follow.target, follow.use_fixed_location = rail, True
+    for frame, offset in ((11, 0.0), (50, 0.9)):
+        follow.offset_factor = offset
+        follow.keyframe_insert("offset_factor", frame=frame)
+    track = scene.camera.constraints.new("TRACK_TO")
+    track.target, track.track_axis, track.up_axis = target, "TRACK_NEGATIVE_Z", "UP_Y"
+
+
+def driven(scene: Any) -> None:
+    """A driver moves it by the frame's number."""
+    driver = scene.camera.driver_add("location", 0).driver
+    driver.expression = "frame * frame / 1000"
+
+
+def zoomed(scene: Any) -> None:
+    """Its lens and its shift have keys."""
+    keyed(scene.camera.data, "lens", (11, 30.0), (50, 90.0))
+    keyed(scene.camera.data, "shift_x", (11, 0.0), (30, 0.2))
+
+
+def flat(scene: Any) -> None:
+    """An orthographic camera whose scale and place have keys."""
+    scene.camera.data.type = "ORTHO"
+    keyed(scene.camera.data, "ortho_scale", (11, 2.0), (50, 6.0))
+    keyed(scene.camera, "location", (11, (0, -5, 1)), (30, (1, -5, 1)), (50, (1, -4, 3)))
+
+
+def handheld(scene: Any) -> None:
+    """Noise, which needs many keys."""
+    keyed(
+        scene.camera,
+        "rotation_euler",
+        *[(f, Vector((1.37, 0, 0)) + 0.03 * Vector((math.sin(3 * f), 0, math.cos(5 * f)))) for f in range(11, 52, 2)],
+    )
+
+
+def truth(scene: Any, frame: int) -> Camera:
+    """Where Blender's own timeline puts the active camera."""
+    scene.frame_set(frame)
+    return camera_from_blender(scene.camera, scene, bpy.context.evaluated_depsgraph_get())
+
+
+def worst_pixels(scene: Any, path: CameraPath, other: Any = None) -> float:
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (300, 3))
+    worst = 0.0
+    for frame in path.frames:
+        expected = truth(scene, frame)
+        found = path.camera_at(frame)
+        assert found.name == expected.name
+        seen = expected.shows(points)
+        worst = max(worst, float(np.abs(expected.project(points)[0] - found.project(points)[0])[seen].max(initial=0)))
+        assert found.near == pytest.approx(expected.near) and found.far == pytest.approx(expected.far)
+    return worst
+
+
+@pytest.mark.parametrize("move", [turntable, even_turntable, on_a_curve, driven, zoomed, flat, handheld])
+def test_every_frame_is_where_blender_puts_it(stage: Any, move: Any) -> None:
+    move(stage)
+    assert may_move(stage)
+    stage.frame_set(7)
+    before = [stage.camera.matrix_world.copy(), stage.frame_current, stage.camera.data.lens]
+    stage.camera.location.z += 0.0
+    path = camera_move(stage, BOX)
+    assert [stage.camera.matrix_world, stage.frame_current, stage.camera.data.lens] == before, "the artist's scene stays as it is"
+    assert (path.start, path.end, path.fps) == (11, 50, 25.0) and path.moves
+    assert worst_pixels(stage, path) < TOLERANCE
+    assert path.shots[-1].frames[-1] == 51, "the frame after the last, for loops"
+    assert len(path.shots) == 1 and path.keys <= {even_turntable: 6, driven: 20, handheld: 30}.get(move, 40)
+
+
+def test_markers_are_cuts(stage: Any) -> None:
+    """The marker before the range chooses the first camera; one whose camera is hidden in renders is passed over."""
+    turntable(stage)
+    second, hidden = add_camera("Second", (3.0, -3.0, 3.0)), add_camera("Hidden", (1.0, 1.0, 9.0))
+    hidden.hide_render = True
+    first = stage.camera
+    for frame, camera in ((5, first), (20, second), (30, hidden), (41, first)):
+        stage.timeline_markers.new("Cut", frame=frame).camera = camera
+    assert [active_at(stage, frame) for frame in (1, 11, 19, 20, 35, 41)] == [first, first, first, second, second, first]
+    path = camera_move(stage, BOX)
+    assert [(shot.cameras[0].name, shot.frames[0]) for shot in path.shots] == [("Camera", 11), ("Second", 20), ("Camera", 41)]
+    assert path.shots[0].frames[-1] == 20, "it moves on until the cut"
+    assert len(path.shots[1].frames) == 1 and path.camera_at(19.999).name == "Camera"
+    assert worst_pixels(stage, path) < TOLERANCE
+
+
+def test_a_camera_that_becomes_another_kind_is_cut(stage: Any) -> None:
+    keyed(stage.camera.data, "type", (11, "PERSP"), (30, "ORTHO"))
+    path = camera_move(stage, BOX)
+    assert [(shot.cameras[0].projection, shot.frames[0]) for shot in path.shots] == [("perspective", 11), ("orthographic", 30)]
+
+
+def test_what_stands_still_does_not_move(stage: Any) -> None:
+    assert not may_move(stage) and not camera_move(stage, BOX).moves
+    target = bpy.data.objects.new("Target", None)
+    stage.collection.objects.link(target)
+    stage.camera.constraints.new("TRACK_TO").target = target
+    assert not may_move(stage)
+    keyed(target, "location", (11, (0, 0, 0)), (50, (1, 0, 0)))
+    assert may_move(stage) and is_animated(stage.camera) and camera_move(stage, BOX).moves
+    stage.frame_end = stage.frame_start
+    assert not may_move(stage)
+
+
+def test_changes_without_a_key_stay(stage: Any) -> None:
+    turntable(stage)
+    stage.camera.location.x = 1.25  # not keyed
+    camera_move(stage, BOX)
+    assert stage.camera.location.x == 1.25 and [scene.name for scene in bpy.data.scenes] == [stage.name]
+
+
+@pytest.mark.parametrize("case", ["none", "panorama"])
+def test_a_move_that_cannot_be_shown_says_why(stage: Any, case: str) -> None:
+    stage.render.engine = "CYCLES"
+    if case == "none":
+        stage.camera = None
+    else:
+        stage.camera.data.type = "PANO"
+        stage.camera.data.panorama_type = "EQUIRECTANGULAR"
+    with pytest.raises(SnergError, match="no active camera" if case == "none" else "a path needs perspective or orthographic"):
+        camera_move(stage, BOX)
+
+
+def test_without_a_box_all_between_the_clip_planes_is_shown_right(stage: Any) -> None:
+    turntable(stage)
+    stage.camera.data.clip_start, stage.camera.data.clip_end = 1.0, 20.0
+    assert worst_pixels(stage, camera_move(stage, None)) < TOLERANCE

@@ -1,0 +1,178 @@
+"""Camera paths: interpolation against rotations by SciPy's rules, files, and keys left out within a bound that projected points keep."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+from scenes import looking
+from snerg.core.errors import SnergError
+from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.camera_path import TOLERANCE, CameraPath, Shot, path_bytes, thinned
+from snerg.core.geometry.rotation import quaternion, rotation_matrix, slerp
+
+FAR = np.array([1e6, -2e6, 5e5])
+
+
+def camera(pose: np.ndarray, **more: object) -> Camera:
+    return replace(Camera(320, 200, (300.0, 300.0), (160.0, 100.0), pose, name="Fly", near=0.1, far=100.0), **more)
+
+
+def over_the_pole(frames: np.ndarray, at: np.ndarray | float = 0.0) -> list[Camera]:
+    """Round the scene across both poles, rolling, while the lens zooms and shifts."""
+    made = []
+    for u in frames / frames[-1]:
+        turn = Rotation.from_euler("XYZ", [2 * math.pi * u, 0.3 * u, 1.5 * u])
+        pose = np.eye(4)
+        pose[:3, :3] = turn.as_matrix()
+        pose[:3, 3] = pose[:3, 2] * (4 + u) + at
+        made.append(camera(pose, focal=(300 * 2**u, 280 * 2**u), centre=(160 + 30 * u, 100 - 20 * u)))
+    return made
+
+
+def path_of(frames: np.ndarray, cameras: list[Camera]) -> CameraPath:
+    return CameraPath((Shot(tuple(map(float, frames)), tuple(cameras)),), int(frames[0]), int(frames[-1]), 24.0)
+
+
+def test_quaternions_are_those_of_scipy() -> None:
+    turns = Rotation.random(300, random_state=3)
+    turns = Rotation.concatenate([turns, Rotation.from_euler("xyz", np.eye(3) * 180, degrees=True), Rotation.identity(1)])
+    for turn in turns:
+        found = quaternion(turn.as_matrix())
+        assert abs(abs(found @ turn.as_quat()) - 1) < 1e-14
+        assert np.allclose(rotation_matrix(3 * found), turn.as_matrix(), atol=1e-14)
+    for one, other in zip(turns[:50], turns[50:100], strict=True):
+        parts = np.linspace(0, 1, 7)
+        expected = Slerp([0, 1], Rotation.concatenate([one, other]))(parts)
+        found = slerp(one.as_quat(), other.as_quat(), parts)
+        assert np.allclose([rotation_matrix(q) for q in found], expected.as_matrix(), atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [0.0, FAR], ids=["at the origin", "far from it"])
+def test_between_keys(at: np.ndarray | float) -> None:
+    frames = np.array([1.0, 9.0, 12.0])
+    cameras = over_the_pole(frames, at)
+    path = path_of(frames, cameras)
+    found = path.camera_at(5.0)
+    a, b = cameras[:2]
+    turns = Rotation.from_matrix([a.camera_to_world[:3, :3], b.camera_to_world[:3, :3]])
+    assert np.allclose(found.camera_to_world[:3, :3], Slerp([0, 1], turns)(0.5).as_matrix(), atol=1e-9)
+    assert np.allclose(found.position, (a.position + b.position) / 2, rtol=0, atol=1e-9)
+    assert np.allclose(found.focal, np.sqrt(np.array(a.focal) * b.focal)) and np.allclose(found.centre, (np.array(a.centre) + b.centre) / 2)
+    for frame, there in ((-5.0, cameras[0]), (9.0, cameras[1]), (99.0, cameras[2])):
+        assert np.allclose(path.camera_at(frame).camera_to_world, there.camera_to_world, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("at", [0.0, FAR], ids=["at the origin", "far from it"])
+def test_around_a_point(at: np.ndarray | float) -> None:
+    """A turn of 170 degrees with a key at each end stays on its circle, and comes nearer evenly."""
+    ends = [Rotation.from_euler("xz", [70, angle], degrees=True) for angle in (0.0, 170.0)]
+    cameras = []
+    for turn, distance in zip(ends, (4.0, 3.0), strict=True):
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn.as_matrix(), distance * turn.as_matrix()[:, 2] + [0.5, 0, 0.2] + at
+        cameras.append(camera(pose))
+    shot = Shot((0.0, 10.0), tuple(cameras), (4.0, 3.0))
+    for part in np.linspace(0, 1, 9):
+        found = shot.camera_at(10 * part)
+        assert np.allclose(found.position - (4 - part) * found.camera_to_world[:3, 2], np.array([0.5, 0, 0.2]) + at, rtol=0, atol=1e-8)
+
+
+def test_a_cut_shows_the_other_camera_at_once() -> None:
+    one, other = (camera(looking((x, -4.0, 1.0), (0, 0, 0)), name=name) for x, name in ((0.0, "A"), (3.0, "B")))
+    path = CameraPath((Shot((1.0, 10.0), (one, replace(one, focal=(150.0, 150.0)))), Shot((10.0,), (other,))), 1, 20, 25.0)
+    assert [path.camera_at(frame).name for frame in (1, 9.999, 10, 20)] == ["A", "A", "B", "B"]
+    assert path.camera_at(9.999).focal[0] == pytest.approx(150, rel=1e-3)
+
+
+@pytest.mark.parametrize("at", [0.0, FAR], ids=["at the origin", "far from it"])
+def test_a_file_holds_the_path(at: np.ndarray | float) -> None:
+    frames = np.arange(1.0, 8.0)
+    path = path_of(frames, over_the_pole(frames, at))
+    data = path_bytes(path)
+    back = CameraPath.from_json(json.loads(data))
+    for frame in np.linspace(0, 8, 33):
+        a, b = path.camera_at(frame), back.camera_at(frame)
+        assert np.allclose(a.camera_to_world, b.camera_to_world, rtol=0, atol=1e-5 if np.any(at) else 1e-10)
+        assert np.allclose(a.focal, b.focal) and np.allclose(a.centre, b.centre) and (a.near, a.far) == (b.near, b.far)
+    still = Shot((1.0, 2.0, 3.0), (camera(np.eye(4)),) * 3)
+    assert len(path_bytes(CameraPath((still,), 1, 3, 24.0))) < 350, "what stays is written once"
+
+
+def test_fewer_keys_show_the_same_within_the_bound() -> None:
+    """Points of the box are projected by the cameras themselves, not by the bound's own formula."""
+    frames = np.arange(1.0, 121.0)
+    cameras = over_the_pole(frames)
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (200, 3))
+    reach = [c.project(points)[1] for c in cameras]
+    depths = np.array([[r.min(), r.max()] for r in reach])
+    shot = thinned(Shot(tuple(frames), tuple(cameras)), depths, np.zeros(3))
+    assert 8 < len(shot.frames) < 90 and shot.frames[0] == 1 and shot.frames[-1] == 120
+    worst = 0.0
+    for frame, truth in zip(frames, cameras, strict=True):
+        there, here = truth.project(points)[0], shot.camera_at(frame).project(points)[0]
+        inside = ((there >= 0) & (there <= [truth.width, truth.height])).all(axis=1)
+        worst = max(worst, float(np.abs(there - here)[inside].max(initial=0)))
+    assert 0.02 < worst < TOLERANCE
+    elsewhere = thinned(Shot(tuple(frames), tuple(cameras)), depths, np.array([0.3, 0.2, 0.6]))
+    assert len(elsewhere.frames) <= len(shot.frames) + 1, "the point that the camera looks at is found"
+    assert len(thinned(Shot((1.0, 2.0, 3.0), (cameras[0],) * 3), np.ones((3, 2)), np.zeros(3)).frames) == 1, "what stands still has one key"
+
+
+def test_an_orthographic_cameras_scale_and_turn_are_kept() -> None:
+    frames, cameras = np.arange(1.0, 41.0), []
+    for u in np.linspace(0, 1, 40):
+        pose = looking((4 * math.sin(2 * u), -4 * math.cos(2 * u), 1.0), (0, 0, 0))
+        cameras.append(camera(pose, projection="orthographic", focal=(60 + 40 * u, 60 + 40 * u)))
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (100, 3))
+    shot = thinned(Shot(tuple(frames), tuple(cameras)), np.array([[2.0, 6.0]] * 40), np.zeros(3))
+    assert len(shot.frames) < 30
+    for frame, truth in zip(frames, cameras, strict=True):
+        assert np.abs(truth.project(points)[0] - shot.camera_at(frame).project(points)[0]).max() < TOLERANCE
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": 2}, "version 2"),
+        ({"fps": 0}, "fps is 0"),
+        ({"fps": 5000}, "5000.0 frames a second"),
+        ({"start": 9, "end": 3}, "the end must not be before"),
+        ({"width": 0}, "width is 0"),
+        ({"shots": []}, "0 keys"),
+        ({"shots": 7}, "incomplete or damaged"),
+        ({"shots": [{"name": "A", "projection": "fisheye", "keys": [{"frame": 1}]}]}, "position"),
+        ({"shots": [{"name": "A", "projection": "perspective", "keys": []}]}, "needs a key"),
+    ],
+)
+def test_what_is_no_path_is_refused(change: dict[str, object], words: str) -> None:
+    frames = np.arange(1.0, 4.0)
+    value = path_of(frames, over_the_pole(frames)).to_json() | change
+    with pytest.raises(SnergError, match=words):
+        CameraPath.from_json(value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("frame", 1, "not in the order"),
+        ("frame", "2", "frame is '2'"),
+        ("rotation", [0, 0, 0, 0], "no quaternion"),
+        ("rotation", [0, 0, 1], "rotation is"),
+        ("position", [0, float("nan"), 0], "position holds"),
+        ("focal", [-1, 1], "focal length"),
+        ("far", 0, "far is 0"),
+        ("near", 500.0, "far plane"),
+    ],
+)
+def test_damaged_keys_are_refused(key: str, value: object, words: str) -> None:
+    frames = np.arange(1.0, 4.0)
+    damaged = path_of(frames, over_the_pole(frames)).to_json()
+    damaged["shots"][0]["keys"][1][key] = value
+    with pytest.raises(SnergError, match=words):
+        CameraPath.from_json(damaged)

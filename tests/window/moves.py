@@ -1,0 +1,56 @@
+"""The camera's move in the export step, and in the page that it is exported with. Runs inside Blender."""
+
+from __future__ import annotations
+
+import json
+import math
+import urllib.request
+from importlib import import_module
+from pathlib import Path
+
+import bpy
+from drive import Walk, Window
+
+
+def camera_move(window: Window, baked: str) -> Walk:
+    """Look at the export step with a camera at rest, then with one that turns round the scene; count, and export by clicks."""
+    yield from window.file("save_as_mainfile", window.folder / "artwork.blend")
+    yield from window.open_sidebar()
+    window.operator("import_scene", filepath=baked)
+    yield from window.wait(1.5)
+    for name in ("box", "dataset", "field", "bake", "preview", "study", "export"):
+        setattr(bpy.context.window_manager.snerg_steps, name, name == "export")
+    window.seen["still"] = window.texts("export")
+    yield from window.picture("still")
+    scene = window.window.scene
+    parent = bpy.data.objects.new("Turntable", None)
+    scene.collection.objects.link(parent)
+    scene.camera.parent = parent
+    scene.frame_start, scene.frame_end = 1, 60
+    for frame, angle in ((1, 0.0), (61, 2 * math.pi)):
+        parent.rotation_euler.z = angle
+        parent.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(20)
+    yield from window.wait(0.5)
+    window.seen["moving"] = window.texts("export")
+    yield from window.picture("moving")
+    yield from press(window, "snerg.count_keyframes")
+    yield from window.until(lambda: any("keyframe" in text for text in window.texts("export")), 20)
+    window.seen["counted"], window.seen["frame"] = window.texts("export"), scene.frame_current
+    yield from window.picture("counted")
+    yield from press(window, "snerg.export_web")
+    project = import_module("bl_ext.user_default.snerg_addon.snerg_addon.project").project_of
+    yield from window.until(lambda: project(window.window.scene).has("web") and not window.busy(), 60)
+    yield from window.picture("exported")
+    web = Path(project(window.window.scene).web)
+    window.seen["files"] = sorted(path.name for path in web.iterdir())
+    window.seen["path"] = json.loads((web / "path.json").read_text())
+    window.operator("open_page")
+    address = import_module("bl_ext.user_default.snerg_addon.snerg_addon.page_server").address_of(web)
+    window.seen["script"] = urllib.request.urlopen(f"{address}path.js").read(200).decode()
+
+
+def press(window: Window, operator: str) -> Walk:
+    """Click a button of the step that is open: quicker than to look for it in all of them."""
+    yield from window.seek(f"bpy.ops.{operator}(", f"button for {operator}", ctrl=True)
+    yield from window.press("LEFTMOUSE")
