@@ -9,4 +9,4 @@ export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export { asViewerError, createViewer, type Viewer, type ViewerEvents, type ViewerOptions, type ViewerState } from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
-export { SnergVolume, type VolumeOptions } from "./volume/volume";
+export { type GrowthOptions, SnergVolume, type VolumeOptions } from "./volume/volume";
