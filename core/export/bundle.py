@@ -99,9 +99,9 @@ def write_bundle(
 def _in_order(
     scene: Scene, camera: Camera, codec: CodecSettings, source: Path | None, progress: Progress
 ) -> tuple[Scene, Path | None, dict[str, Any]]:
-    """The scene with the cells that a camera sees first, the source to copy, and "layers" of cameras.json. A lossy source is kept."""
+    """The scene with the cells that a camera sees first, the source to copy, and "layers" of cameras.json. A source with loss is kept."""
     order = cell_order(scene, camera, progress)
-    if source is not None and codec != PNG:
+    if source is not None and not (codec.lossless and not codec.half_features):
         return scene, source, order.layers(in_order=False)
     return order.sorted(scene), None, order.layers(in_order=True)
 

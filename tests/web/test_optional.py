@@ -33,6 +33,29 @@ def test_a_bundle_holds_what_its_scene_calls_for(tmp_path: Path, network: bool) 
     assert {name for name in names if name.startswith("optional/")} == {"optional/benchmark.js"}
 
 
+@pytest.mark.parametrize("network", [False, True])
+def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, serve: Serve, network: bool) -> None:
+    """A diffuse scene has no network and no feature textures in the code that the driver compiles."""
+    page.add_init_script("""
+        window.shaders = [];
+        const source = WebGL2RenderingContext.prototype.shaderSource;
+        WebGL2RenderingContext.prototype.shaderSource = function (shader, text) {
+          window.shaders.push(text);
+          return source.call(this, shader, text);
+        };
+    """)
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    write_bundle(make_snerg(shape=(20, 20, 20), diffuse=not network), make_cameras()[:1], tmp_path / "web")
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    marching = [text for text in page.evaluate("window.shaders") if "rgbaAt(" in text]
+    assert marching
+    for text in marching:
+        assert ("vec3 viewDependentColour(" in text) == network
+        assert ("sampler3D feature_0" in text) == network
+    assert any("/feature_" in url for url in asked) == network
+
+
 def test_viewer_js_holds_no_optional_code() -> None:
     """A text of each optional module that is in no other file."""
     viewer = (VIEWER / "dist" / "viewer.js").read_text(encoding="utf-8")
