@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 from scenes import make_cameras, make_snerg
 from snerg.core.export import bundle
 from snerg.core.export.bundle import VIEWER, write_bundle
 from snerg.core.study.benchmarks import read_benchmark
-from snerg.tests.web.conftest import opened
+from snerg.tests.web.conftest import ROOT, opened
+from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 
@@ -84,6 +85,17 @@ def test_a_benchmark_is_measured_and_read(page: Page, made: Path, serve: Serve, 
     assert found["megabytes"] == pytest.approx(files / 1e6)
     pages, pixels = 2 * 4 * 32**3, 4 * 990 * 773  # one cell of colour and features, and the image
     assert found["memory_megabytes"] == pytest.approx((pages + 8**3 + 4 + pixels) / 1e6)
+
+
+@pytest.mark.slow
+def test_axe_finds_nothing_in_the_benchmark(browser: Browser, made: Path, serve: Serve) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 700}, bypass_csp=True)
+    page = context.new_page()
+    assert opened(page, serve(made) + "#benchmark&frames=1") is None
+    page.locator("#benchmark dd").first.wait_for()
+    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
+    assert page.evaluate(AXE) == []
+    context.close()
 
 
 @pytest.mark.slow
