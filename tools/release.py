@@ -28,6 +28,7 @@ NEEDED = (
     "snerg_addon/bridge.py",
     "viewer/dist/path.js",
     "viewer/dist/viewer.js",
+    "viewer/dist/optional/benchmark.js",
     "viewer/index.html",
     "viewer/page.css",
 )

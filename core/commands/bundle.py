@@ -46,7 +46,7 @@ def bundle_scene(
     own when None. path: a camera path (see `read_path`) that the page can play; dataset goes for it, too.
     """
     check_out(out, "page", scene, *(file for file in (cameras, path) if file))
-    viewer_files(with_path=path is not None)
+    viewer_files()
     move = placed_path(read_path(path), path, dataset) if path else None
     listed = read_cameras(cameras) if cameras else ()
     if cameras and dataset is not None:

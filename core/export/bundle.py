@@ -1,7 +1,8 @@
 """The web page of a baked scene: a folder for any static server, or one file that opens from the disk.
 
-The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`. Writing
-a page needs no npm, no network and no server-side code. The page allows itself no script, style or request but its own.
+The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`; code that
+only some pages need is built beside it (optional_code.py). Writing a page needs no npm, no network and no server-side code. The page
+allows itself no script, style or request but its own.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
+from .cell_order import cell_order
 from .codecs import PNG, CodecSettings
+from .optional_code import FOLDER as OPTIONAL
+from .optional_code import optional_names
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
@@ -32,11 +36,9 @@ from .thumbnails import thumbnail_name, thumbnails
 
 VIEWER = Path(__file__).parents[2] / "viewer"
 SCRIPT_TAG = '<script src="viewer.js"></script>'
-PATH_SCRIPT = "path.js"  # the code that plays camera paths, in pages that have one
 STYLE_TAG = '<link rel="stylesheet" href="page.css">'
 COARSE_FROM = 64  # cells from which on a page has the scene at a quarter of its resolution too, which it shows first
-POSTER_SHARE = 0.2  # of the time of an export
-THUMBNAILS_END = 0.4  # of the time of an export that has thumbnails, after the poster
+POSTER_END, THUMBNAILS_END, ORDER_END = 0.15, 0.3, 0.35  # of the time of an export
 FILES_MARK = "<!-- files -->"  # where a single-file page holds the scene's files
 
 
@@ -54,27 +56,30 @@ def write_bundle(
     """Write index.html, page.css, viewer.js, cameras.json, a poster and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
-    rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice;
+    exact ones are written anew where that brings the cells that the first camera sees to the front (see cell_order.py).
     The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
-    holds coarse/, which the page shows as soon as somebody moves. path: a camera path that the page can play; path.json and path.js
-    are there only with one.
+    holds coarse/, which the page shows as soon as somebody moves. path: a camera path that the page can play; path.json and the
+    code that plays it are there only with one.
     Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
-    files = viewer_files(with_path=path is not None)
+    files = viewer_files(optional_names(single_file, path is not None))
     cameras = [camera for camera in cameras if not camera.is_wide]
-    rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
     first = cameras[0] if cameras else path.camera_at(path.start) if path else None
-    poster = poster_bytes(scene, first, page, rendering) if first else None
-    small = thumbnails(scene, cameras, page, within(progress, POSTER_SHARE, THUMBNAILS_END if page.thumbnails else POSTER_SHARE))
-    writing = within(progress, THUMBNAILS_END if page.thumbnails else POSTER_SHARE, 1.0)
+    poster = poster_bytes(scene, first, page, within(progress, 0.0, POSTER_END)) if first else None
+    small = thumbnails(scene, cameras, page, within(progress, POSTER_END, THUMBNAILS_END)) if page.thumbnails else []
+    coarse = not single_file and len(scene.cells) >= COARSE_FROM
+    listed = cameras_json(cameras, len(small)) | _flags(coarse=coarse, path=path is not None)
+    if coarse and first:
+        scene, source, listed["layers"] = _in_order(scene, first, codec, source, within(progress, THUMBNAILS_END, ORDER_END))
+    writing = within(progress, ORDER_END, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
-        coarse = not single_file and len(scene.cells) >= COARSE_FROM
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras, len(small)) | _flags(coarse=coarse, path=path is not None)))
+        (data / "cameras.json").write_bytes(json_bytes(listed))
         for index, picture in enumerate(small):
             (data / thumbnail_name(index)).parent.mkdir(exist_ok=True)
             (data / thumbnail_name(index)).write_bytes(picture)
@@ -94,15 +99,26 @@ def write_bundle(
             if poster:
                 (temporary / POSTER).write_bytes(poster)
             for name, text in files.items():
+                (temporary / name).parent.mkdir(exist_ok=True)
                 (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
         written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
 
 
-def _flags(**there: bool) -> dict[str, bool]:
+def _flags(**there: bool) -> dict[str, Any]:
     """What else the page's folder holds, as in cameras.json."""
     return {name: True for name, is_there in there.items() if is_there}
+
+
+def _in_order(
+    scene: Scene, camera: Camera, codec: CodecSettings, source: Path | None, progress: Progress
+) -> tuple[Scene, Path | None, dict[str, Any]]:
+    """The scene with the cells that a camera sees first, the source to copy, and "layers" of cameras.json. A source with loss is kept."""
+    order = cell_order(scene, camera, progress)
+    if source is not None and not (codec.lossless and not codec.half_features):
+        return scene, source, order.layers(in_order=False)
+    return order.sorted(scene), None, order.layers(in_order=True)
 
 
 def _write_scene(scene: Scene, folder: Path, codec: CodecSettings, source: Path | None, progress: Progress) -> None:
@@ -123,23 +139,16 @@ def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
         raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start the export again.")
 
 
-def viewer_files(with_path: bool = False) -> dict[str, str]:
-    """The texts of index.html, page.css, viewer.js, and with a camera path path.js. Raises SnergError when the viewer is not built."""
-    scripts = (PATH_SCRIPT, "viewer.js") if with_path else ("viewer.js",)
-    paths = (VIEWER / "index.html", VIEWER / "page.css", *(VIEWER / "dist" / name for name in scripts))
+def viewer_files(optional: Sequence[str] = ()) -> dict[str, str]:
+    """The texts of index.html, page.css, viewer.js and optional code, by their paths. Raises SnergError when the viewer is not built."""
+    scripts = [f"{OPTIONAL}/{name}.js" for name in optional]
+    sources = {"index.html": "index.html", "page.css": "page.css", **{name: f"dist/{name}" for name in ("viewer.js", *scripts)}}
     try:
-        files = {path.name: path.read_text(encoding="utf-8") for path in paths}
+        return {name: (VIEWER / path).read_text(encoding="utf-8") for name, path in sources.items()}
     except OSError as error:
         raise SnergError(
             f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
         ) from error
-    files["index.html"] = files["index.html"].replace(SCRIPT_TAG, "\n".join(script_tag(name) for name in scripts))
-    return files
-
-
-def script_tag(name: str) -> str:
-    """The tag of a script beside the page."""
-    return SCRIPT_TAG.replace("viewer.js", name)
 
 
 def check_showable(scene: Scene, codec: CodecSettings, single_file: bool = False) -> None:
@@ -176,11 +185,11 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
     The files are encoded one at a time, so that they are not all in memory. files: of `viewer_files`.
     """
     # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
-    scripts = {name: text.replace("</script", "<\\/script") for name, text in files.items() if name.endswith(".js")}
     style = files["page.css"]
+    scripts = [text.replace("</script", "<\\/script") for name, text in files.items() if name.endswith(".js")]
     page = files["index.html"].replace(STYLE_TAG, f"<style>{style}</style>")
-    for kind, texts in (("script-src", scripts.values()), ("style-src", [style])):  # a browser runs only the scripts with these hashes
-        page = page.replace(f"{kind} 'self'", " ".join([kind, *map(_hash, texts)]))
+    for kind, texts in (("script-src", scripts), ("style-src", [style])):  # a browser runs only the scripts with these hashes
+        page = page.replace(f"{kind} 'self'", f"{kind} {' '.join(map(_hash, texts))}")
     before, after = page.split(FILES_MARK)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
@@ -189,13 +198,11 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
             file.write(before)
             for tag in file_tags(data):
                 file.write(tag)
-            for name, text in scripts.items():
-                after = after.replace(script_tag(name), f"<script>{text}</script>")
-            file.write(after)
+            file.write(after.replace(SCRIPT_TAG, "\n".join(f"<script>{script}</script>" for script in reversed(scripts))))
 
 
 def _hash(text: str) -> str:
-    """The source of a Content-Security-Policy that a text inside the page is."""
+    """A text as the Content-Security-Policy names it."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 

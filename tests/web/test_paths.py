@@ -259,10 +259,10 @@ def test_only_a_page_with_a_path_holds_its_code(page: Page, made: Path, tmp_path
     scene = make_snerg((20, 20, 20))
     write_bundle(scene, make_cameras(), tmp_path / "without")
     write_bundle(scene, make_cameras(), tmp_path / "alone", single_file=True)
-    assert not {"path.js", "path.json"} & {path.name for path in (tmp_path / "without").iterdir()}
+    assert not {"path.js", "path.json"} & {path.name for path in (tmp_path / "without").rglob("*")}
     for text in ((tmp_path / "without" / name).read_text() for name in ("index.html", "viewer.js", "cameras.json")):
-        assert 'aria-label="Time"' not in text and 'path.js"' not in text
-    assert 'aria-label="Time"' in (made / "web" / "path.js").read_text()
+        assert 'aria-label="Time"' not in text
+    assert 'aria-label="Time"' in (made / "web" / "optional" / "path.js").read_text()
     write_bundle(scene, make_cameras(), tmp_path / "one", single_file=True, path=make_path())
     assert [path.name for path in (tmp_path / "one").iterdir() if path.name != ".snerg"] == ["index.html"]
     more = (tmp_path / "one" / "index.html").stat().st_size - (tmp_path / "alone" / "index.html").stat().st_size
@@ -283,7 +283,7 @@ def test_a_page_of_a_path_alone_opens_at_its_first_frame(page: Page, made: Path,
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
-        ("path.js", None, "The file path.js, which plays the camera path, is missing. Upload the whole folder of the page."),
+        ("optional/path.js", None, "The file optional/path.js did not arrive. Upload the whole folder of the page."),
         ("path.json", None, "The file path.json is missing from the server. Upload the whole folder of the page."),
         ("path.json", "{}", "The file path.json is damaged: it is not a camera path. Export the page again."),
         (

@@ -85,7 +85,9 @@ def test_the_search_finds_the_operators(blender):
 def test_import_dataset_proposes_no_name_and_keeps_a_relative_path(blender, photos):
     seen = blender.walk("import_dialog", photos)
     assert seen["proposed"] == "", f"The file browser proposes {seen['proposed']!r}"
-    assert seen["shows"] == [True, True, "*.json;poses_bounds.npy;*.xml;*.csv;*.out"], "The file browser does not filter by what can be chosen"
+    assert seen["shows"] == [True, True, "*.json;poses_bounds.npy;*.xml;*.csv;*.out"], (
+        "The file browser does not filter by what can be chosen"
+    )
     assert seen["dataset"].startswith("//") and says(seen["main"], "Next: train"), seen
     assert says(seen["wrong"], "nowhere"), f"No panel says what is wrong with the folder //nowhere: {seen['wrong']}"
 

@@ -1,17 +1,13 @@
 // The package: a scene's loader, an object of three.js, a viewer, and an element.
-import { usePaths } from "./viewer/parts";
-import * as path from "./viewer/path_part";
-
-usePaths(path);
-
 export { readCameras, type SnergCamera } from "./data/cameras";
 export { ChosenFiles, EmbeddedFiles, type FileSource, type SceneFiles, ServerFiles } from "./data/files";
 export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
 export { ViewerError } from "./errors";
+export type { BenchmarkOptions, BenchmarkResult } from "./optional/benchmark";
+export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./optional/path";
 export { defineElement, SnergViewerElement } from "./viewer/element";
-export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./viewer/path";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export { asViewerError, createViewer, type Viewer, type ViewerEvents, type ViewerOptions, type ViewerState } from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
-export { SnergVolume, type VolumeOptions } from "./volume/volume";
+export { type GrowthOptions, SnergVolume, type VolumeOptions } from "./volume/volume";

@@ -21,16 +21,23 @@ export interface SnergCamera {
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
+/** The layers of the atlas in the order of their importance to the first camera, of which the first `seen` hold all that it sees. */
+export interface LayerOrder {
+  order: number[];
+  seen: number;
+}
+
 /** What cameras.json says. */
 export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
   path: boolean; // whether it has a camera path, in path.json
+  layers: LayerOrder | null; // what the scene's cells are read by; null where it does not matter
 }
 
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
 export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown; path?: unknown } | null;
+  const value = (await readJson(source, name, signal)) as { [key in keyof CameraList]?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
@@ -39,7 +46,13 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
-  return { cameras, coarse: value.coarse === true, path: value.path === true };
+  const layers = isLayerOrder(value.layers) ? value.layers : null;
+  return { cameras, coarse: value.coarse === true, path: value.path === true, layers };
+}
+
+function isLayerOrder(value: unknown): value is LayerOrder {
+  const { order, seen } = (value ?? {}) as Partial<LayerOrder>;
+  return Array.isArray(order) && order.every((layer) => Number.isSafeInteger(layer) && layer >= 0) && Number.isSafeInteger(seen);
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {

@@ -1,7 +1,9 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
+import { loadOptional } from "../load_optional";
+import type { BenchmarkResult } from "../optional/benchmark";
+import type { PathBar } from "../optional/path";
 import { Bar, MAX_SIDE } from "./bar";
-import { type PathPart, pathPart } from "./parts";
 import { colourOf } from "./shared_view";
 import style from "./style.css";
 import template from "./template.html";
@@ -33,7 +35,7 @@ export class SnergViewerElement extends HTMLElement {
   readonly ready: Promise<boolean>;
   /** The bar and what it can do; null until there is a picture. */
   bar: Bar | null = null;
-  private pathBar: InstanceType<PathPart["PathBar"]> | null = null;
+  private pathBar: PathBar | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -90,6 +92,16 @@ export class SnergViewerElement extends HTMLElement {
     this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
   }
 
+  /**
+   * Measure, and show the result in a dialog; null where it was cancelled. kind: of the scene, as the paper names them. frames: of the
+   * path, where the paper's 150 take too long.
+   */
+  async benchmark(kind = "", frames?: number): Promise<BenchmarkResult | null> {
+    if (!this.viewer) return null;
+    const { openBenchmark } = await loadOptional("benchmark");
+    return openBenchmark(this.root, this.viewer, kind, frames);
+  }
+
   private find<T extends HTMLElement>(id: string): T {
     return this.root.getElementById(id) as T;
   }
@@ -106,6 +118,7 @@ export class SnergViewerElement extends HTMLElement {
       background: colourOf(background),
       size,
       play: this.hasAttribute("play"),
+      covered: () => !this.find("poster").hidden,
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
     this.viewer = viewer;
@@ -119,12 +132,12 @@ export class SnergViewerElement extends HTMLElement {
       const about = (bytes / slices) * totalSlices; // its slices are about equally large
       this.find("loading-text").textContent = `Loading the scene: ${megabytes(bytes)} of about ${megabytes(about)} MB`;
     });
-    viewer.on("image", ({ width, height, milliseconds, coarse }) => {
+    viewer.on("image", ({ width, height, milliseconds, coarse, whole }) => {
       // The poster is finer than the coarse scene, but it shows one view alone.
       const poster = this.find("poster");
       const { atCamera, camera } = viewer.state;
       if (!coarse || !atCamera || camera !== (viewer.cameras[0]?.name ?? "")) poster.hidden = true;
-      this.find("loading").hidden = !coarse;
+      this.find("loading").hidden = whole;
       this.find("loading").classList.add("beside");
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
@@ -137,7 +150,7 @@ export class SnergViewerElement extends HTMLElement {
       );
       this.bar.setBackground(background);
       this.find("bar").hidden = this.getAttribute("ui") === "none";
-      this.addPathBar(viewer);
+      void this.addPathBar(viewer);
       this.dispatchEvent(new CustomEvent("picture"));
     });
     viewer.on("view", () => {
@@ -162,10 +175,11 @@ export class SnergViewerElement extends HTMLElement {
     );
   }
 
-  private addPathBar(viewer: Viewer): void {
-    const part = pathPart();
-    if (!viewer.path || !part) return;
-    const bar = new part.PathBar(this.root, viewer.path);
+  private async addPathBar(viewer: Viewer): Promise<void> {
+    if (!viewer.path) return;
+    const { PathBar } = await loadOptional("path"); // it is there: the viewer plays with it
+    if (this.viewer !== viewer) return;
+    const bar = new PathBar(this.root, viewer.path);
     bar.hidden = this.getAttribute("ui") === "none";
     viewer.on("path", () => bar.update());
     this.pathBar = bar;

@@ -1,14 +1,15 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
-import { readCameras, type SnergCamera } from "../data/cameras";
+import { type LayerOrder, readCameras, type SnergCamera } from "../data/cameras";
 import { EmbeddedFiles, type FileSource, readJson, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { EXPORT_AGAIN, ViewerError } from "../errors";
-import { SnergVolume } from "../volume/volume";
+import { loadOptional } from "../load_optional";
+import type { BenchmarkOptions, BenchmarkResult } from "../optional/benchmark";
+import type { CameraPath, PathCamera, PathPlayer, PathState } from "../optional/path";
+import { type GrowthOptions, SnergVolume } from "../volume/volume";
 import { between, eased, wantsLessMotion } from "./flight";
-import { pathPart } from "./parts";
-import type { CameraPath, PathCamera, PathPlayer, PathState } from "./path";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import { rowsOf } from "./shared_view";
 import { type OrbitLimits, View } from "./view";
@@ -38,11 +39,13 @@ export interface ViewerOptions {
   /** Play the camera path, if there is one, as soon as the scene is there; not for people who asked for less motion. */
   play?: boolean;
   signal?: AbortSignal;
+  /** Whether something lies over the canvas, such as a poster, so that unfinished pictures need not be drawn. */
+  covered?: () => boolean;
 }
 
 export interface ViewerEvents {
   progress: LoadProgress;
-  image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
+  image: ShownImage & { coarse: boolean; whole: boolean }; // coarse: until all that the first camera sees is there; whole: the rest, too
   view: ViewerState;
   path: PathState; // somebody plays, stops or moves along the camera path
   error: ViewerError;
@@ -84,6 +87,8 @@ export interface Viewer {
   /** The picture as a PNG. alpha: without the background. */
   capture(options?: { width?: number; height?: number; alpha?: boolean }): Promise<Blob>;
   fullscreen(): Promise<void>;
+  /** Measure the frames a second on the paper's orbit. Rejects with the signal's reason. */
+  benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult>;
   destroy(): void;
 }
 
@@ -103,10 +108,17 @@ class CanvasViewer implements Viewer {
   private view: View | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
-  private whole = false; // whether the scene itself is shown, and not the coarse one
+  private coarse: SnergScene | null = null; // shown first, and where the scene has not arrived
+  private layers: LayerOrder | null = null;
+  private whole = false; // whether all of the scene is there
+  private fine = false; // whether all is there that the first camera sees
+  private growing: SnergVolume | null = null;
+  private grown = false; // since the picture was begun
+  private refining = false; // whether `refine` waits for a picture
+  private losses = 0; // of the graphics context
   private flight = 0; // counts flights, so that a new one ends the one before
   private flying: Promise<void> | null = null;
-  private readPath: CameraPath | null = null;
+  private makePlayer: MakePlayer | null = null;
   path: PathPlayer | null = null;
   private colour: Colour;
   private readonly observer = new ResizeObserver(() => this.follow());
@@ -122,7 +134,7 @@ class CanvasViewer implements Viewer {
     this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
     container.append(this.canvas);
     options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
-    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    this.canvas.addEventListener("webglcontextlost", (event) => this.lose(event));
     this.canvas.addEventListener("webglcontextrestored", () => this.restore());
     this.canvas.addEventListener("keydown", (event) => this.press(event));
     this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
@@ -134,34 +146,95 @@ class CanvasViewer implements Viewer {
     const { signal } = this.abort;
     const { source } = this;
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
-    const [{ cameras, coarse, path }, scene] = await Promise.all([
+    const [{ cameras, coarse, path, layers }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
     this.scene = scene;
-    if (path) this.readPath = await readPath(source, signal);
-    const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
-    if (first) await this.show(first);
-    await this.show(scene);
-    this.whole = true;
+    if (path) this.makePlayer = await readPath(source, signal);
+    this.layers = layers;
+    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true });
+    await this.fill(scene);
+    this.coarse = null; // frees its texels
     await this.renderer?.settled();
     if (this.options.play && !wantsLessMotion()) this.play();
   }
 
-  /** Show a scene in place of the one before, when all of it is on the card. */
-  private async show(scene: SnergScene): Promise<void> {
-    const volume = new SnergVolume(scene, { srgbTargets: true });
-    this.abort.signal.addEventListener("abort", () => volume.dispose(), { once: true }); // also while it is being read
-    await volume.load(this.webgl);
-    if (this.volume) {
-      this.world.remove(this.volume);
-      this.volume.dispose();
+  /** Show the scene: first the coarse one, then one that grows. Begins again where the graphics context is lost meanwhile. */
+  private async fill(scene: SnergScene): Promise<void> {
+    const losses = this.losses;
+    try {
+      if (this.coarse) await this.show(this.coarse);
+      const { order, seen } = this.layers ?? {};
+      await this.show(scene, { coarse: this.coarse ?? undefined, wanted: this.uncovered(), order, enough: seen });
+    } catch (error) {
+      if (losses === this.losses || this.abort.signal.aborted) throw error;
+      await this.restored();
+      return this.fill(scene);
     }
-    this.volume = volume;
-    this.world.add(volume);
-    if (this.renderer) this.renderer.change();
-    else this.begin(scene);
+    this.whole = this.fine = true;
+    this.renderer?.refine();
+  }
+
+  /** Show a scene in place of the one before, as soon as there is something of it on the card. */
+  private async show(scene: SnergScene, growth: GrowthOptions = {}): Promise<void> {
+    const volume = new SnergVolume(scene, { srgbTargets: true });
+    const dispose = () => volume.dispose();
+    this.abort.signal.addEventListener("abort", dispose, { once: true }); // also while it is being read
+    volume.addEventListener("change" as never, () => this.grow(volume));
+    this.growing = volume;
+    try {
+      await volume.load(this.webgl, growth);
+    } catch (error) {
+      this.abort.signal.removeEventListener("abort", dispose);
+      volume.dispose();
+      throw error;
+    } finally {
+      if (this.growing === volume) this.growing = null;
+    }
+  }
+
+  /** A volume looks different: bring it into the world, or the picture up to date. */
+  private grow(volume: SnergVolume): void {
+    if (this.volume !== volume) {
+      this.world.remove(...(this.volume ? [this.volume] : []));
+      this.volume?.dispose();
+      this.volume = volume;
+      this.world.add(volume);
+      if (!this.renderer) this.begin(volume.source);
+      else if (!this.coarse) this.renderer.change();
+    }
+    const seen = this.layers?.seen ?? Number.POSITIVE_INFINITY;
+    if (this.fine || volume.source !== this.scene || volume.layersArrived < seen) return void this.refine();
+    this.fine = true; // all that the first camera sees is there
+    this.renderer?.refine();
+  }
+
+  /** Resolves when nothing lies over the canvas any more. */
+  private uncovered(): Promise<void> {
+    const { covered } = this.options;
+    if (!covered?.()) return Promise.resolve();
+    return new Promise((resolve) => {
+      const stop = this.on("image", () => {
+        if (covered()) return;
+        stop();
+        resolve();
+      });
+    });
+  }
+
+  /** Bring the picture up to date, unless one is being drawn: then after it. */
+  private async refine(): Promise<void> {
+    this.grown = true;
+    if (this.refining) return;
+    this.refining = true;
+    while (this.grown && !this.whole && !this.abort.signal.aborted) {
+      await this.settled();
+      this.grown = false;
+      if (!this.options.covered?.()) this.renderer?.refine();
+    }
+    this.refining = false;
   }
 
   /** There is something to show: begin to render, and to follow the mouse. */
@@ -170,19 +243,17 @@ class CanvasViewer implements Viewer {
     const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
     this.view = view;
     this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
-      this.emit("image", { ...image, coarse: !this.whole }),
+      this.emit("image", { ...image, coarse: !this.fine, whole: this.whole }),
     );
     this.renderer.background = this.colour;
     const first = Math.max(findCamera(cameras, this.options.camera ?? null), 0);
     if (cameras[first]) view.jump(cameras[first]);
-    const part = pathPart();
-    if (this.readPath && part) {
-      this.path = new part.PathPlayer(
-        this.readPath,
+    if (this.makePlayer) {
+      this.path = this.makePlayer(
         (camera) => this.showPath(camera),
         () => this.pathChanged(),
       );
-      if (!cameras[first]) this.path.seek(this.readPath.start);
+      if (!cameras[first]) this.path.seek(this.path.state.start);
     }
     this.observer.observe(this.container);
     this.follow();
@@ -317,6 +388,12 @@ class CanvasViewer implements Viewer {
     await this.container.requestFullscreen();
   }
 
+  async benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult> {
+    const [{ measure }] = await Promise.all([loadOptional("benchmark"), this.ready]);
+    await this.settled();
+    return measure({ renderer: this.webgl, volume: this.volume as SnergVolume, cameras: this.cameras }, options);
+  }
+
   destroy(): void {
     this.stop();
     this.abort.abort(new ViewerError("The viewer was closed."));
@@ -359,13 +436,31 @@ class CanvasViewer implements Viewer {
     this.emit("scroll", undefined);
   }
 
-  /** The graphics driver was reset: bring the scene to the card again. */
+  /** The graphics driver was reset. What is on its way to the card is given up; `fill` begins again. */
+  private lose(event: Event): void {
+    event.preventDefault();
+    this.losses++;
+    this.growing?.dispose();
+    if (!this.volume || this.volume !== this.growing) return;
+    this.world.remove(this.volume);
+    this.volume = null;
+  }
+
+  /** Resolves when there is a graphics context again. */
+  private restored(): Promise<void> {
+    if (!this.webgl.getContext().isContextLost()) return Promise.resolve();
+    return new Promise((resolve) => this.canvas.addEventListener("webglcontextrestored", () => resolve(), { once: true }));
+  }
+
+  /** Bring the scene to the card again, where it was there. */
   private async restore(): Promise<void> {
-    if (!this.scene || !this.whole || !this.renderer) return this.fail(new ViewerError(LOST));
-    try {
-      await this.show(this.scene);
-    } catch {
-      return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+    if (!this.scene || !this.renderer) return;
+    if (this.whole) {
+      try {
+        await this.show(this.scene);
+      } catch {
+        return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+      }
     }
     this.renderer.restart();
   }
@@ -392,13 +487,14 @@ export function findCamera(cameras: readonly SnergCamera[], text: string | null)
   return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
 }
 
-/** The camera path of a bundle. Rejects with a ViewerError where it is missing or damaged, or the code that plays it is missing. */
-async function readPath(source: FileSource, signal: AbortSignal): Promise<CameraPath> {
-  const part = pathPart();
-  if (!part) throw new ViewerError("The file path.js, which plays the camera path, is missing. Upload the whole folder of the page.");
-  const path = part.pathOf(await readJson(source, "path.json", signal));
+type MakePlayer = (show: (camera: PathCamera) => void, changed: () => void) => PathPlayer;
+
+/** What plays the camera path of a bundle. Rejects with a ViewerError where it, or the code that plays it, is missing or damaged. */
+async function readPath(source: FileSource, signal: AbortSignal): Promise<MakePlayer> {
+  const [{ pathOf, PathPlayer }, value] = await Promise.all([loadOptional("path"), readJson(source, "path.json", signal)]);
+  const path: CameraPath | null = pathOf(value);
   if (!path) throw new ViewerError(`The file path.json is damaged: it is not a camera path. ${EXPORT_AGAIN}`);
-  return path;
+  return (show, changed) => new PathPlayer(path, show, changed);
 }
 
 /** Without an address, the files inside the page, or else those beside it. */

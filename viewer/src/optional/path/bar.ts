@@ -1,7 +1,8 @@
 // The row above the bar that plays a camera path: play, time, loop and speed, and the keys for them.
+
+import style from "./bar.css";
+import template from "./bar.html";
 import type { PathPlayer } from "./path";
-import style from "./path_bar.css";
-import template from "./path_bar.html";
 
 const PLAY = "M3 1.5v13l11-6.5z";
 const PAUSE = "M3 2h3.5v12H3zM9.5 2H13v12H9.5z";

@@ -1,6 +1,6 @@
 // Camera paths: what path.json says, the camera at any frame, and the clock that plays them. A page without a path loads none of this, and so
 // it uses nothing of three.js, and throws no errors, whose class would be another one than the viewer's. core/geometry/camera_path.py interpolates by the same rules.
-import { isArray, isPositiveInteger } from "../data/scene";
+import { isArray, isPositiveInteger } from "../../data/scene";
 
 const NEARLY_SAME = 1e-9; // radians between two quaternions below which spherical and linear interpolation are equal
 const LONGEST_STEP = 1; // seconds of the clock a picture at most: while a tab is hidden, the path stands still

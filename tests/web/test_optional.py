@@ -1,0 +1,146 @@
+"""Pages hold only what their scene calls for; optional code is loaded when it is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page
+
+from scenes import make_cameras, make_snerg
+from snerg.core.export import bundle
+from snerg.core.export.bundle import VIEWER, write_bundle
+from snerg.core.study.benchmarks import read_benchmark
+from snerg.tests.web.conftest import ROOT, opened
+from snerg.tests.web.test_page import AXE
+
+Serve = Callable[[Path], str]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("optional") / "web"
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], folder)
+    return folder
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_a_bundle_holds_what_its_scene_calls_for(tmp_path: Path, network: bool) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20), diffuse=not network), make_cameras(), tmp_path / "web")
+    names = {path.relative_to(tmp_path / "web").as_posix() for path in (tmp_path / "web").rglob("*.*") if not path.name.startswith(".")}
+    assert any("feature_" in name for name in names) == network
+    assert {name for name in names if name.startswith("optional/")} == {"optional/benchmark.js"}
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, serve: Serve, network: bool) -> None:
+    """A diffuse scene has no network and no feature textures in the code that the driver compiles."""
+    page.add_init_script("""
+        window.shaders = [];
+        const source = WebGL2RenderingContext.prototype.shaderSource;
+        WebGL2RenderingContext.prototype.shaderSource = function (shader, text) {
+          window.shaders.push(text);
+          return source.call(this, shader, text);
+        };
+    """)
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    write_bundle(make_snerg(shape=(20, 20, 20), diffuse=not network), make_cameras()[:1], tmp_path / "web")
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    marching = [text for text in page.evaluate("window.shaders") if "rgbaAt(" in text]
+    assert marching
+    for text in marching:
+        assert ("vec3 viewDependentColour(" in text) == network
+        assert ("sampler3D feature_0" in text) == network
+    assert any("/feature_" in url for url in asked) == network
+
+
+def test_viewer_js_holds_no_optional_code() -> None:
+    """A text of each optional module that is in no other file."""
+    viewer = (VIEWER / "dist" / "viewer.js").read_text(encoding="utf-8")
+    for name, text in (("benchmark", "snerg-benchmark"),):
+        assert text in (VIEWER / "dist" / "optional" / f"{name}.js").read_text(encoding="utf-8")
+        assert text not in viewer
+
+
+def test_optional_code_shares_the_classes_of_viewer_js() -> None:
+    """Each script is far smaller than three.js, of which it uses classes."""
+    for script in (VIEWER / "dist" / "optional").iterdir():
+        assert script.stat().st_size < 40_000
+
+
+def test_a_benchmark_is_measured_and_read(page: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
+    """What the page saves is what a study reads."""
+    assert opened(page, serve(made) + "?width=80&height=60#benchmark=360&frames=2") is None
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save JSON").click()
+    saved.value.save_as(tmp_path / "benchmark.json")
+    found = read_benchmark(tmp_path / "benchmark.json")
+    assert found == page.evaluate("window.snerg.benchmark")
+    assert (found["kind"], found["width"], found["height"], found["frames"]) == ("360", 990, 773, 2)
+    assert found["fps"] == pytest.approx(1000 / found["ms"]) and 1 < found["ms"] < 60_000
+    files = sum(path.stat().st_size for path in (made / "scene").glob("*_*.png"))
+    assert found["megabytes"] == pytest.approx(files / 1e6)
+    pages, pixels = 2 * 4 * 32**3, 4 * 990 * 773  # one cell of colour and features, and the image
+    assert found["memory_megabytes"] == pytest.approx((pages + 8**3 + 4 + pixels) / 1e6)
+
+
+@pytest.mark.slow
+def test_axe_finds_nothing_in_the_benchmark(browser: Browser, made: Path, serve: Serve) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 700}, bypass_csp=True)
+    page = context.new_page()
+    assert opened(page, serve(made) + "#benchmark&frames=1") is None
+    page.locator("#benchmark dd").first.wait_for()
+    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
+    assert page.evaluate(AXE) == []
+    context.close()
+
+
+@pytest.mark.slow
+def test_a_benchmark_is_cancelled(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=80&height=60#benchmark") is None
+    page.locator("#benchmark").get_by_role("status").filter(has_text="Frame").wait_for()
+    page.get_by_role("button", name="Cancel").click()
+    assert page.locator("#benchmark").count() == 0
+    while not page.evaluate("'benchmark' in window.snerg"):
+        page.wait_for_timeout(50)
+    assert page.evaluate("window.snerg.benchmark") is None and page.evaluate("window.snerg.problem") is None
+
+
+def test_optional_code_is_fetched_when_it_is_wanted(page: Page, made: Path, serve: Serve) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    assert opened(page, serve(made) + "?width=80&height=60") is None
+    assert not any("optional" in url for url in asked)
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.locator("#benchmark dd").first.wait_for()
+    assert sum("optional/benchmark.js" in url for url in asked) == 1
+
+
+def test_missing_optional_code_is_named(page: Page, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web")
+    (tmp_path / "web" / "optional" / "benchmark.js").unlink()
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.get_by_role("alert").wait_for()
+    assert "The file optional/benchmark.js did not arrive" in page.get_by_role("alert").inner_text()
+
+
+def test_a_page_of_one_file_says_what_it_leaves_out(page: Page, tmp_path: Path) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.get_by_role("alert").wait_for()
+    assert 'without the part "benchmark"' in page.get_by_role("alert").inner_text()
+
+
+def test_optional_code_inside_a_page_of_one_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the disk, under the page's own security policy, which allows each script by its hash."""
+    monkeypatch.setattr(bundle, "optional_names", lambda single_file: ("benchmark",))
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.locator("#benchmark dd").first.wait_for()
+    assert np.isfinite(page.evaluate("document.querySelector('snerg-viewer').viewer.state.zoom"))
