@@ -31,13 +31,16 @@ class Truth:
         return np.clip(self.colour + self.transmittance[..., None] * np.array(background), 0, 1)
 
 
-def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) -> Truth:
-    """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2)."""
+def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False, ends: np.ndarray | None = None) -> Truth:
+    """Render a scene by visiting every sample of every ray (sections 5.2 and 4.2).
+
+    ends: [H, W] depths along the view axis at which rays end, in place of the camera's far plane.
+    """
     origins, directions = camera.rays()
     cosines = directions @ -camera.camera_to_world[:3, 2]  # near and far are planes, as Blender's clip start and end
     if camera.projection in ("equirectangular", "fisheye"):  # and spheres for these
         cosines = np.ones(len(directions))
-    near, far = np.maximum(scene.near, camera.near / cosines), camera.far / cosines
+    near, far = np.maximum(scene.near, camera.near / cosines), (camera.far if ends is None else ends.reshape(-1)) / cosines
     values, transmittance, depth = dense_rays(scene, origins, directions, near, per_sample_network, far)
     colour = values[:, :3].copy()
     if scene.network is not None and not per_sample_network:

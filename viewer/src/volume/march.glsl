@@ -37,6 +37,7 @@ uniform isampler3D indirection;
 // camera x / depth - y, of an orthographic one x - y * depth, and then * z + w.
 uniform highp sampler2D sceneDepth;
 uniform vec4 depthTerms;
+uniform vec2 logDepth; // of a logarithmic depth buffer of a perspective camera: world units of ray space, and 1 / log2(far + 1); else 0
 #endif
 
 out vec4 colour;
@@ -46,10 +47,12 @@ out vec4 colour;
 {{NDC}}
 #if SCENE_DEPTH
 float bufferFromView(float depth) {
+  if (logDepth.y > 0.0) return log2(1.0 + depth * logDepth.x) * logDepth.y;
   return (orthographic ? depthTerms.x - depthTerms.y * depth : depthTerms.x / depth - depthTerms.y) * depthTerms.z + depthTerms.w;
 }
 
 float viewFromBuffer(float value) {
+  if (logDepth.y > 0.0) return (exp2(value / logDepth.y) - 1.0) / logDepth.x;
   float ndc = (value - depthTerms.w) / depthTerms.z;
   return orthographic ? (depthTerms.x - ndc) / depthTerms.y : depthTerms.x / (ndc + depthTerms.y);
 }

@@ -2,6 +2,7 @@
 import {
   AlwaysDepth,
   BackSide,
+  Box3,
   BoxGeometry,
   type BufferGeometry,
   type Camera,
@@ -13,12 +14,14 @@ import {
   Mesh,
   OneFactor,
   OneMinusSrcAlphaFactor,
+  type PerspectiveCamera,
   RawShaderMaterial,
   Sphere,
   Vector2,
   Vector3,
   Vector4,
   type WebGLRenderer,
+  type WebGLRenderTarget,
 } from "three";
 import type { SceneDescription } from "../data/scene";
 import type { SnergScene } from "../data/snerg_scene";
@@ -66,7 +69,13 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     this.content = options.yUp ? new Matrix4().makeRotationX(-Math.PI / 2) : new Matrix4();
     this.frustumCulled = !source.description.ndc;
     const { center, radius } = sphereOf(source.description);
+    const unit = raySpaceUnit(source.description);
     this.geometry.boundingSphere = new Sphere(center.applyMatrix4(this.content), radius);
+    this.geometry.boundingBox = source.description.ndc
+      ? this.geometry.boundingSphere.getBoundingBox(new Box3())
+      : new Box3(new Vector3(), new Vector3(...source.description.shape))
+          .applyMatrix4(new Matrix4().makeScale(unit, unit, unit))
+          .applyMatrix4(this.content.clone().multiply(raySpacePose(source.description)));
     this.geometry.setDrawRange(0, 0); // until it is loaded
   }
 
@@ -106,6 +115,9 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     const { unit, moved } = this.depthScale;
     return points.map((point, i) => (depths[i] > 0 ? unproject(camera, point, (depths[i] + moved) * unit) : null));
   }
+
+  /** Nothing: its triangles are not where it is seen. `pick` finds what is seen. */
+  override raycast(): void {}
 
   /** The longest edge of a voxel at a point of the world, in units of the world: how finely the scene is resolved there. */
   voxelAt(point: Vector3): number {
@@ -155,8 +167,13 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       uniforms.sceneDepth.value = drawn;
     }
     uniforms.gridShape.value.set(...this.source.description.shape);
-    const reversed = (renderer as WebGLRenderer & { reversedDepthBuffer?: boolean }).reversedDepthBuffer === true;
-    const view = viewUniforms(this.source.description, standing, camera, renderer.getCurrentViewport(new Vector4()), reversed);
+    const view = viewUniforms(
+      this.source.description,
+      standing,
+      camera,
+      renderer.getCurrentViewport(new Vector4()),
+      reverseDepth(renderer, camera),
+    );
     this.depthScale = view;
     uniforms.focal.value.set(...view.focal);
     uniforms.principalPoint.value.set(...view.principalPoint);
@@ -168,10 +185,19 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     uniforms.nearDistance.value = view.nearDistance;
     uniforms.clipPlanes.value.set(...view.clipPlanes);
     uniforms.depthTerms.value.copy(view.depthTerms);
+    const logarithmic = renderer.capabilities.logarithmicDepthBuffer && !view.orthographic;
+    uniforms.logDepth.value.set(...(logarithmic ? [view.unit, 1 / Math.log2((camera as PerspectiveCamera).far + 1)] : [0, 0]));
     uniforms.clipFromGrid.value.copy(view.clipFromGrid);
-    uniforms.linearOutput.value = renderer.getRenderTarget() ? !this.srgbTargets : renderer.outputColorSpace === LinearSRGBColorSpace;
+    uniforms.linearOutput.value = this.drawsLinear(renderer);
     this.material.uniformsNeedUpdate = true;
   };
+
+  /** Whether what is drawn to holds linear colours. A headset's picture is one like the canvas. */
+  private drawsLinear(renderer: WebGLRenderer): boolean {
+    const target = renderer.getRenderTarget() as (WebGLRenderTarget & { isXRRenderTarget?: boolean }) | null;
+    const screen = target === null || target.isXRRenderTarget === true;
+    return screen ? renderer.outputColorSpace === LinearSRGBColorSpace : !this.srgbTargets;
+  }
 
   /** Take the shader with or without what is drawn already. */
   private useShader(shader: string, sceneDepth: boolean): void {
@@ -194,6 +220,18 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private send(event: { type: string; error?: unknown }): void {
     this.dispatchEvent(event as never);
   }
+}
+
+/** Whether the depth buffer is reversed. three.js turns the camera's projection over with the first ordinary mesh that it draws, which may come later. */
+function reverseDepth(renderer: WebGLRenderer, camera: Camera): boolean {
+  const depth = renderer.state.buffers.depth as typeof renderer.state.buffers.depth & { getReversed?(): boolean };
+  if (!depth.getReversed?.()) return false;
+  const reversible = camera as PerspectiveCamera & { _reversedDepth?: boolean };
+  if (reversible._reversedDepth === false) {
+    reversible._reversedDepth = true;
+    reversible.updateProjectionMatrix?.();
+  }
+  return true;
 }
 
 /** How many texture units are left beside the scene's own. */
@@ -233,6 +271,7 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     linearOutput: { value: false },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
+    logDepth: { value: new Vector2() },
     clipFromGrid: { value: new Matrix4() },
   };
   return new RawShaderMaterial({
