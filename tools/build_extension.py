@@ -22,7 +22,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "extension"
 CODE = ("core", "operators", "snerg_addon", "farm")
-PAGE = ("index.html", "page.css", "dist/viewer.js")  # of the web viewer: what an exported page is made of
+PAGE = ("index.html", "page.css", "dist/viewer.js", "dist/optional")  # of the web viewer: what an exported page is made of
 FILES = ("__init__.py", "py.typed", "launcher.py", "LICENSE", "README.md", "CHANGELOG.md")
 LEFT_OUT = shutil.ignore_patterns("__pycache__", "node_modules", ".*", "*.egg-info", "*.pyc")
 TRAINING = ("jax", "jaxlib", "ml_dtypes", "opt_einsum", "scipy", "optax", "absl-py", "pillow", "msgpack")  # Blender brings NumPy
@@ -102,9 +102,10 @@ def stage(folder: Path, manifest: str, wheels: Sequence[Path]) -> None:
     for name in CODE:
         shutil.copytree(ROOT / name, folder / name, ignore=LEFT_OUT)
     for name in PAGE:
-        if (ROOT / "viewer" / name).exists():
+        path = ROOT / "viewer" / name
+        if path.exists():
             (folder / "viewer" / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / "viewer" / name, folder / "viewer" / name)
+            (shutil.copytree if path.is_dir() else shutil.copy2)(path, folder / "viewer" / name)
     if wheels:
         (folder / "wheels").mkdir()
         for wheel in wheels:

@@ -27,6 +27,7 @@ NEEDED = (
     "operators/train.py",
     "snerg_addon/bridge.py",
     "viewer/dist/viewer.js",
+    "viewer/dist/optional/benchmark.js",
     "viewer/index.html",
     "viewer/page.css",
 )

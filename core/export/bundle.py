@@ -1,7 +1,8 @@
 """The web page of a baked scene: a folder for any static server, or one file that opens from the disk.
 
-The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`. Writing
-a page needs no npm, no network and no server-side code. The page allows itself no script, style or request but its own.
+The page's script, viewer.js, is built once from viewer/src and from the part of three.js that it uses, by `npm run build`; code that
+only some pages need is built beside it (optional_code.py). Writing a page needs no npm, no network and no server-side code. The page
+allows itself no script, style or request but its own.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .codecs import PNG, CodecSettings
+from .optional_code import FOLDER as OPTIONAL
+from .optional_code import optional_names
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
@@ -57,7 +60,7 @@ def write_bundle(
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
-    files = viewer_files()
+    files = viewer_files(optional_names(single_file))
     cameras = [camera for camera in cameras if not camera.is_wide]
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
     poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
@@ -81,6 +84,7 @@ def write_bundle(
             if poster:
                 (temporary / POSTER).write_bytes(poster)
             for name, text in files.items():
+                (temporary / name).parent.mkdir(exist_ok=True)
                 (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
         written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
@@ -105,11 +109,12 @@ def _copy_scene(source: Path, target: Path, codec: CodecSettings) -> None:
         raise SnergError(f"{source} was replaced by a scene of another kind meanwhile; start the export again.")
 
 
-def viewer_files() -> dict[str, str]:
-    """The texts of index.html, page.css and viewer.js, by their names. Raises SnergError when viewer.js is not built."""
-    paths = (VIEWER / "index.html", VIEWER / "page.css", VIEWER / "dist" / "viewer.js")
+def viewer_files(optional: Sequence[str] = ()) -> dict[str, str]:
+    """The texts of index.html, page.css, viewer.js and optional code, by their paths. Raises SnergError when the viewer is not built."""
+    scripts = [f"{OPTIONAL}/{name}.js" for name in optional]
+    sources = {"index.html": "index.html", "page.css": "page.css", **{name: f"dist/{name}" for name in ("viewer.js", *scripts)}}
     try:
-        return {path.name: path.read_text(encoding="utf-8") for path in paths}
+        return {name: (VIEWER / path).read_text(encoding="utf-8") for name, path in sources.items()}
     except OSError as error:
         raise SnergError(
             f"The web viewer is not built ({error.filename} cannot be read); run `make setup`, or install the extension from its zip."
@@ -147,10 +152,11 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
     The files are encoded one at a time, so that they are not all in memory. files: of `viewer_files`.
     """
     # "</script" would end the script; in JavaScript it occurs in strings and comments only, where a backslash is ignored.
-    style, script = files["page.css"], files["viewer.js"].replace("</script", "<\\/script")
+    style = files["page.css"]
+    scripts = [text.replace("</script", "<\\/script") for name, text in files.items() if name.endswith(".js")]
     page = files["index.html"].replace(STYLE_TAG, f"<style>{style}</style>")
-    for kind, text in (("script-src", script), ("style-src", style)):  # a browser runs only the script with this hash
-        page = page.replace(f"{kind} 'self'", f"{kind} 'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'")
+    for kind, texts in (("script-src", scripts), ("style-src", [style])):  # a browser runs only the scripts with these hashes
+        page = page.replace(f"{kind} 'self'", f"{kind} {' '.join(map(_hash, texts))}")
     before, after = page.split(FILES_MARK)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
         data = Path(name)
@@ -159,7 +165,12 @@ def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callab
             file.write(before)
             for tag in file_tags(data):
                 file.write(tag)
-            file.write(after.replace(SCRIPT_TAG, f"<script>{script}</script>"))
+            file.write(after.replace(SCRIPT_TAG, "\n".join(f"<script>{script}</script>" for script in reversed(scripts))))
+
+
+def _hash(text: str) -> str:
+    """A text as the Content-Security-Policy names it."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def file_tags(folder: Path) -> Iterator[str]:

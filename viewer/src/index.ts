@@ -4,6 +4,7 @@ export { ChosenFiles, EmbeddedFiles, type FileSource, type SceneFiles, ServerFil
 export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
 export { ViewerError } from "./errors";
+export type { BenchmarkOptions, BenchmarkResult } from "./optional/benchmark";
 export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export {

@@ -21,6 +21,11 @@ export interface LoadProgress {
 export class SnergScene {
   private bytes = 0;
 
+  /** Of all files of texels that have arrived. */
+  get bytesRead(): number {
+    return this.bytes;
+  }
+
   private constructor(
     readonly description: SceneDescription,
     readonly cells: Int32Array<ArrayBuffer>, // the cell of each macroblock, -1 where it is empty

@@ -55,4 +55,15 @@ element.addEventListener("view", () => {
 const showAddressed = () => element.bar?.show(readView(addressOptions()));
 element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
 window.addEventListener("hashchange", showAddressed);
+
+/** #benchmark, or #benchmark=synthetic, =forward-facing or =360, measures the scene once it is there; &frames=N: fewer than 150. */
+const measureAddressed = () => {
+  const address = addressOptions();
+  const kind = address.get("benchmark");
+  if (kind === null || element.problem !== null) return;
+  const keep = (result: unknown) => Object.assign(hook, { benchmark: result });
+  element.benchmark(kind, Number(address.get("frames")) || undefined).then(keep, (error) => element.fail(asViewerError(error)));
+};
+measureAddressed();
+window.addEventListener("hashchange", ({ oldURL }) => !new URL(oldURL).hash.includes("benchmark") && measureAddressed());
 window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

@@ -1,5 +1,7 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
+import { loadOptional } from "../load_optional";
+import type { BenchmarkResult } from "../optional/benchmark";
 import { Bar, MAX_SIDE } from "./bar";
 import { colourOf } from "./shared_view";
 import style from "./style.css";
@@ -83,6 +85,16 @@ export class SnergViewerElement extends HTMLElement {
     this.find<HTMLSelectElement>("camera").value = String(index);
     void viewer.goTo(index);
     this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
+  }
+
+  /**
+   * Measure, and show the result in a dialog; null where it was cancelled. kind: of the scene, as the paper names them. frames: of the
+   * path, where the paper's 150 take too long.
+   */
+  async benchmark(kind = "", frames?: number): Promise<BenchmarkResult | null> {
+    if (!this.viewer) return null;
+    const { openBenchmark } = await loadOptional("benchmark");
+    return openBenchmark(this.root, this.viewer, kind, frames);
   }
 
   private find<T extends HTMLElement>(id: string): T {

@@ -5,6 +5,8 @@ import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/f
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
+import { loadOptional } from "../load_optional";
+import type { BenchmarkOptions, BenchmarkResult } from "../optional/benchmark";
 import { SnergVolume } from "../volume/volume";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import { rowsOf } from "./shared_view";
@@ -77,6 +79,8 @@ export interface Viewer {
   /** Where a point of the scene lies in the view. */
   project(point: readonly number[]): ProjectedPoint;
   fullscreen(): Promise<void>;
+  /** Measure the frames a second on the paper's orbit. Rejects with the signal's reason. */
+  benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult>;
   destroy(): void;
 }
 
@@ -283,6 +287,12 @@ class CanvasViewer implements Viewer {
   async fullscreen(): Promise<void> {
     if (document.fullscreenElement) return document.exitFullscreen();
     await this.container.requestFullscreen();
+  }
+
+  async benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult> {
+    const [{ measure }] = await Promise.all([loadOptional("benchmark"), this.ready]);
+    await this.settled();
+    return measure({ renderer: this.webgl, volume: this.volume as SnergVolume, cameras: this.cameras }, options);
   }
 
   destroy(): void {

@@ -42,7 +42,7 @@ export class Atlas {
   readonly kinds: Kind[];
   readonly layout: AtlasLayout;
   readonly size: Triple; // texels of a page along x, y and z
-  readonly bytes: number; // of graphics memory
+  readonly bytes: number; // of graphics memory that the pages take
   private readonly pages: Record<Kind, Data3DTexture[]>;
   private made: Data3DTexture[] = []; // by `textures`
   private occupied: Uint8Array; // 1 where a coarse voxel is not empty, cell by cell, x fastest
@@ -66,6 +66,12 @@ export class Atlas {
     const allocate = (kind: Kind) =>
       this.kinds.includes(kind) ? Array.from({ length: this.layout.pages }, () => this.allocatePage()) : [];
     this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
+  }
+
+  /** The graphics memory of all textures, in bytes. */
+  get allBytes(): number {
+    const [x, y, z] = this.scene.blocks;
+    return this.bytes + this.layout.pages * this.layout.blocks.reduce((product, n) => product * n) * COARSE_BYTES + 4 * x * y * z;
   }
 
   /** Free the graphics memory. */

@@ -88,9 +88,9 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     return this.loading;
   }
 
-  /** How much graphics memory the texels take, in bytes; 0 before `load`. */
+  /** How much graphics memory the textures take, in bytes; 0 before `load`. */
   get graphicsBytes(): number {
-    return this.atlas?.bytes ?? 0;
+    return this.atlas?.allBytes ?? 0;
   }
 
   /** Free the graphics memory; what is still being read is given up. */

@@ -1,0 +1,15 @@
+"""The viewer's optional code: which pages have which of it.
+
+Each is a script, viewer/dist/optional/NAME.js (of viewer/src/optional/NAME.ts), which viewer.js loads when it is wanted. A folder holds
+the script beside viewer.js; a page of one file holds it inside.
+"""
+
+from __future__ import annotations
+
+FOLDER = "optional"
+BENCHMARK = "benchmark"  # measures frames a second when the address ends in #benchmark
+
+
+def optional_names(single_file: bool) -> tuple[str, ...]:
+    """The optional code that a page calls for. A page of one file has no benchmark, which people never ask for by accident."""
+    return () if single_file else (BENCHMARK,)

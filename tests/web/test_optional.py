@@ -1,0 +1,83 @@
+"""Pages hold only what their scene calls for; optional code is loaded when it is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page
+
+from scenes import make_cameras, make_snerg
+from snerg.core.export import bundle
+from snerg.core.export.bundle import VIEWER, write_bundle
+from snerg.tests.web.conftest import opened
+
+Serve = Callable[[Path], str]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("optional") / "web"
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], folder)
+    return folder
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_a_bundle_holds_what_its_scene_calls_for(tmp_path: Path, network: bool) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20), diffuse=not network), make_cameras(), tmp_path / "web")
+    names = {path.relative_to(tmp_path / "web").as_posix() for path in (tmp_path / "web").rglob("*.*") if not path.name.startswith(".")}
+    assert any("feature_" in name for name in names) == network
+    assert {name for name in names if name.startswith("optional/")} == {"optional/benchmark.js"}
+
+
+def test_viewer_js_holds_no_optional_code() -> None:
+    """A text of each optional module that is in no other file."""
+    viewer = (VIEWER / "dist" / "viewer.js").read_text(encoding="utf-8")
+    for name, text in (("benchmark", "snerg-benchmark"),):
+        assert text in (VIEWER / "dist" / "optional" / f"{name}.js").read_text(encoding="utf-8")
+        assert text not in viewer
+
+
+def test_optional_code_shares_the_classes_of_viewer_js() -> None:
+    """Each script is far smaller than three.js, of which it uses classes."""
+    for script in (VIEWER / "dist" / "optional").iterdir():
+        assert script.stat().st_size < 40_000
+
+
+def test_optional_code_is_fetched_when_it_is_wanted(page: Page, made: Path, serve: Serve) -> None:
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    assert opened(page, serve(made) + "?width=80&height=60") is None
+    assert not any("optional" in url for url in asked)
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.locator("#benchmark dd").first.wait_for()
+    assert sum("optional/benchmark.js" in url for url in asked) == 1
+
+
+def test_missing_optional_code_is_named(page: Page, tmp_path: Path, serve: Serve) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web")
+    (tmp_path / "web" / "optional" / "benchmark.js").unlink()
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.get_by_role("alert").wait_for()
+    assert "The file optional/benchmark.js did not arrive" in page.get_by_role("alert").inner_text()
+
+
+def test_a_page_of_one_file_says_what_it_leaves_out(page: Page, tmp_path: Path) -> None:
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.get_by_role("alert").wait_for()
+    assert 'without the part "benchmark"' in page.get_by_role("alert").inner_text()
+
+
+def test_optional_code_inside_a_page_of_one_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the disk, under the page's own security policy, which allows each script by its hash."""
+    monkeypatch.setattr(bundle, "optional_names", lambda single_file: ("benchmark",))
+    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
+    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+    page.evaluate("location.hash = 'benchmark&frames=1'")
+    page.locator("#benchmark dd").first.wait_for()
+    assert np.isfinite(page.evaluate("document.querySelector('snerg-viewer').viewer.state.zoom"))

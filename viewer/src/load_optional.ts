@@ -1,0 +1,12 @@
+// Loads code that only some pages need. In the package it is a module; an exported page has it as a script of its own, or not at all:
+// in viewer.js, load_optional_script.ts takes the place of this file.
+import type { OptionalModules } from "./optional/modules";
+
+type Loaders = { [Name in keyof OptionalModules]: () => Promise<OptionalModules[Name]> };
+
+const LOADERS: Loaders = {
+  benchmark: () => import("./optional/benchmark"),
+};
+
+/** What the module optional/NAME.ts exports. Rejects with a ViewerError in a page that was exported without it. */
+export const loadOptional = <Name extends keyof OptionalModules>(name: Name): Promise<OptionalModules[Name]> => LOADERS[name]();
