@@ -27,7 +27,10 @@ NEEDED = (
     "operators/train.py",
     "snerg_addon/bridge.py",
     "viewer/dist/viewer.js",
+    "viewer/dist/optional/annotations.js",
     "viewer/dist/optional/benchmark.js",
+    "viewer/dist/optional/measure.js",
+    "viewer/dist/optional/vr.js",
     "viewer/index.html",
     "viewer/page.css",
 )

@@ -24,9 +24,10 @@ from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
+from .annotations import annotations_json
 from .codecs import PNG, CodecSettings
 from .optional_code import FOLDER as OPTIONAL
-from .optional_code import optional_names
+from .optional_code import optional_names, page_parts
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
@@ -60,7 +61,7 @@ def write_bundle(
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
-    files = viewer_files(optional_names(single_file))
+    files = viewer_files(optional_names(single_file, page))
     cameras = [camera for camera in cameras if not camera.is_wide]
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
     poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
@@ -69,7 +70,10 @@ def write_bundle(
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
         coarse = not single_file and len(scene.cells) >= COARSE_FROM
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | ({"coarse": True} if coarse else {})))
+        more: dict[str, Any] = ({"coarse": True} if coarse else {}) | parts_json(page)
+        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | more))
+        if page.annotations:
+            (data / "annotations.json").write_bytes(json_bytes(annotations_json(page.annotations)))
         if coarse:
             (data / "coarse").mkdir()
             write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
@@ -144,6 +148,13 @@ def cameras_json(cameras: Sequence[Camera]) -> dict[str, Any]:
         "version": 1,
         "cameras": [camera.to_json() for camera in cameras if not camera.is_wide],
     }
+
+
+def parts_json(page: PageSettings) -> dict[str, Any]:
+    """What cameras.json says about the optional code that the page loads, and about units where that code needs them."""
+    parts = page_parts(page)
+    units = {"units": page.units.to_json()} if page.measures or page.vr else {}
+    return ({"parts": list(parts)} if parts else {}) | units
 
 
 def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callable[[Path], None]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import SnergError
+from .annotations import Annotation
+from .world_units import WorldUnits
 
 BACKGROUNDS = {"white": 1.0, "grey": 128 / 255, "black": 0.0}
 
@@ -19,6 +21,11 @@ class PageSettings:
     background: str = "white"  # of BACKGROUNDS
     distance: tuple[float, float] | None = None  # nearest and farthest orbit, in units of the scene, from the point that is looked at
     elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
+
+    annotations: tuple[Annotation, ...] = ()  # labels in the scene
+    measures: bool = False  # whether people can measure lengths
+    vr: bool = False  # whether people can enter the scene with a headset
+    units: WorldUnits = WorldUnits()  # of measured lengths, and of the size that a headset shows
 
     def __post_init__(self) -> None:
         if self.background not in BACKGROUNDS:

@@ -1,5 +1,5 @@
 // The package: a scene's loader, an object of three.js, a viewer, and an element.
-export { readCameras, type SnergCamera } from "./data/cameras";
+export { type PartName, readCameras, type SnergCamera, type WorldUnits } from "./data/cameras";
 export { ChosenFiles, EmbeddedFiles, type FileSource, type SceneFiles, ServerFiles } from "./data/files";
 export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
@@ -9,6 +9,7 @@ export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export {
   asViewerError,
+  type Bundle,
   createViewer,
   type ProjectedPoint,
   type ScenePoint,

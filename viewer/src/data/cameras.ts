@@ -18,15 +18,28 @@ export interface SnergCamera {
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
+/** The optional code that a page loads by itself. */
+export type PartName = "annotations" | "measure" | "vr";
+const PARTS: readonly PartName[] = ["annotations", "measure", "vr"];
+const SYSTEMS = ["metric", "imperial", "none"] as const;
+
+/** What a unit of the scene is, and in which system lengths are told. */
+export interface WorldUnits {
+  metres: number; // of a unit
+  system: (typeof SYSTEMS)[number]; // none: in units of the scene
+}
+
 /** What cameras.json says. */
 export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
+  parts: PartName[];
+  units: WorldUnits;
 }
 
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
 export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown } | null;
+  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown; parts?: unknown; units?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
@@ -35,7 +48,17 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
-  return { cameras, coarse: value.coarse === true };
+  const parts = PARTS.filter((part) => Array.isArray(value.parts) && value.parts.includes(part));
+  return { cameras, coarse: value.coarse === true, parts, units: unitsOf(value.units) };
+}
+
+/** Units as a file gives them; metres where they are missing or damaged. */
+function unitsOf(value: unknown): WorldUnits {
+  const { metres, system } = (value ?? {}) as Partial<WorldUnits>;
+  return {
+    metres: typeof metres === "number" && metres > 0 && Number.isFinite(metres) ? metres : 1,
+    system: SYSTEMS.find((each) => each === system) ?? "metric",
+  };
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {

@@ -9,6 +9,7 @@ import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
 
 const HINT_SHOWN = 1500; // milliseconds
+const FLIGHT = 1.2; // seconds to the camera of an annotation
 
 /**
  * Shows the scene of a bundle. Attributes, which are read when it is put into the page:
@@ -33,6 +34,7 @@ export class SnergViewerElement extends HTMLElement {
   readonly ready: Promise<boolean>;
   /** The bar and what it can do; null until there is a picture. */
   bar: Bar | null = null;
+  private leaving = new AbortController(); // tells the optional code that the viewer is closed
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -45,6 +47,7 @@ export class SnergViewerElement extends HTMLElement {
 
   connectedCallback(): void {
     if (this.viewer) return;
+    this.leaving = new AbortController();
     this.root.innerHTML = template;
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(style);
@@ -60,6 +63,7 @@ export class SnergViewerElement extends HTMLElement {
   }
 
   disconnectedCallback(): void {
+    this.leaving.abort();
     this.viewer?.destroy();
     this.viewer = null;
     this.bar = null;
@@ -76,14 +80,14 @@ export class SnergViewerElement extends HTMLElement {
     this.settle(false);
   }
 
-  /** Show the camera of that name or number, as its entry in the list does. */
-  choose(name: string | number): void {
+  /** Show the camera of that name or number, as its entry in the list does. duration: seconds of a flight there. */
+  choose(name: string | number, duration = 0): void {
     const { viewer } = this;
     if (!viewer) return;
     const index = typeof name === "number" ? name : findCamera(viewer.cameras, name);
     if (!viewer.cameras[index]) return;
     this.find<HTMLSelectElement>("camera").value = String(index);
-    void viewer.goTo(index);
+    void viewer.goTo(index, { duration });
     this.dispatchEvent(new CustomEvent("camera", { detail: viewer.cameras[index].name }));
   }
 
@@ -143,6 +147,7 @@ export class SnergViewerElement extends HTMLElement {
       );
       this.bar.setBackground(background);
       this.find("bar").hidden = this.getAttribute("ui") === "none";
+      this.addParts(viewer);
       this.dispatchEvent(new CustomEvent("picture"));
     });
     viewer.on("view", () => {
@@ -165,6 +170,18 @@ export class SnergViewerElement extends HTMLElement {
       },
       () => {}, // it was said by "error"
     );
+  }
+
+  /** Load the optional code that the bundle calls for. Without a part the scene is still shown; what is missing is said. */
+  private addParts(viewer: Viewer): void {
+    const host = { viewer, root: this.root, stage: this.find("stage"), choose: (name: string) => this.choose(name, FLIGHT) };
+    for (const name of viewer.bundle?.parts ?? []) {
+      const added = loadOptional(name).then(({ attach }) => attach({ ...host, signal: this.leaving.signal }));
+      added.catch((error: unknown) => {
+        this.find("hint").textContent = asViewerError(error).message;
+        this.find("hint").hidden = false;
+      });
+    }
   }
 
   private fixedSize(): { width: number; height: number } | undefined {

@@ -1,6 +1,6 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
-import { readCameras, type SnergCamera } from "../data/cameras";
+import { type PartName, readCameras, type SnergCamera, type WorldUnits } from "../data/cameras";
 import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
@@ -59,6 +59,8 @@ export interface Viewer {
   readonly cameras: readonly SnergCamera[];
   readonly state: ViewerState;
   readonly canvas: HTMLCanvasElement;
+  /** What else the bundle holds; null until there is a picture. */
+  readonly bundle: Bundle | null;
   background: Colour;
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
@@ -84,6 +86,12 @@ export interface Viewer {
   destroy(): void;
 }
 
+/** What a bundle holds beside the scene and its cameras, and its files by their paths. */
+export interface Bundle extends FileSource {
+  parts: readonly PartName[]; // optional code that its page shows
+  units: WorldUnits;
+}
+
 /** A point that is seen. */
 export interface ScenePoint {
   position: [number, number, number]; // in Blender's axes
@@ -104,6 +112,7 @@ class CanvasViewer implements Viewer {
   readonly canvas: HTMLCanvasElement;
   readonly ready: Promise<void>;
   cameras: readonly SnergCamera[] = [];
+  bundle: Bundle | null = null;
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
@@ -139,11 +148,12 @@ class CanvasViewer implements Viewer {
     const { signal } = this.abort;
     const source = this.options.src ? sourceOf(this.options.src) : ownFiles();
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
-    const [{ cameras, coarse }, scene] = await Promise.all([
+    const [{ cameras, coarse, parts, units }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
+    this.bundle = { parts, units, read: (name, stop) => source.read(name, stop ?? signal) };
     this.scene = scene;
     const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
     if (first) await this.show(first);

@@ -1,0 +1,2 @@
+// The scene in a headset (WebXR).
+export { attach } from "./vr/session";
