@@ -24,6 +24,7 @@ const ARROWS: ReadonlyMap<string, readonly [number, number]> = new Map([
   ["ArrowDown", [0, 1]],
 ]);
 const FIRST = "Choose the first point: click it, or move the cross with the arrow keys and press Enter.";
+const NEXT = "Choose the first point of another length, or end with Done.";
 const SECOND = "Choose the second point.";
 const NOTHING = "There is nothing here: more than half of the light comes through. Choose another point.";
 
@@ -173,7 +174,7 @@ class Tool {
       const measure = this.makeMeasure(this.start, point);
       this.measures.push(measure);
       this.start = null;
-      this.say(`${measure.label.firstElementChild?.textContent}. ${FIRST}`);
+      this.say(`${measure.label.firstElementChild?.textContent}. ${NEXT}`);
     }
     this.update();
   }
@@ -217,7 +218,7 @@ class Tool {
       ends.forEach((end, i) => {
         draw(dots[i], { cx: end.x, cy: end.y });
       });
-      label.style.transform = `translate(-50%, -50%) translate(${((a.x + b.x) / 2).toFixed(1)}px, ${((a.y + b.y) / 2).toFixed(1)}px)`;
+      label.style.transform = `translate(-50%, calc(-100% - 10px)) translate(${((a.x + b.x) / 2).toFixed(1)}px, ${((a.y + b.y) / 2).toFixed(1)}px)`;
     }
   }
 }
