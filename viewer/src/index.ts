@@ -11,6 +11,7 @@ export {
   asViewerError,
   type Bundle,
   createViewer,
+  type Lent,
   type ProjectedPoint,
   type ScenePoint,
   type Viewer,

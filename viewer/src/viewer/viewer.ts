@@ -81,6 +81,8 @@ export interface Viewer {
   /** Where a point of the scene lies in the view. */
   project(point: readonly number[]): ProjectedPoint;
   fullscreen(): Promise<void>;
+  /** For optional code: leave the canvas and the volume to somebody else until `release` is called; null until the scene is there. */
+  lend(): Lent | null;
   /** Measure the frames a second on the paper's orbit. Rejects with the signal's reason. */
   benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult>;
   destroy(): void;
@@ -90,6 +92,13 @@ export interface Viewer {
 export interface Bundle extends FileSource {
   parts: readonly PartName[]; // optional code that its page shows
   units: WorldUnits;
+}
+
+/** What draws a viewer. */
+export interface Lent {
+  renderer: WebGLRenderer;
+  volume: SnergVolume; // in Blender's axes and units
+  release(): void;
 }
 
 /** A point that is seen. */
@@ -297,6 +306,19 @@ class CanvasViewer implements Viewer {
   async fullscreen(): Promise<void> {
     if (document.fullscreenElement) return document.exitFullscreen();
     await this.container.requestFullscreen();
+  }
+
+  lend(): Lent | null {
+    const { renderer, volume } = this;
+    if (!renderer || !volume || !this.whole) return null;
+    this.flight++;
+    renderer.pause(true);
+    const release = () => {
+      this.world.add(volume);
+      renderer.pause(false);
+      this.follow();
+    };
+    return { renderer: this.webgl, volume, release };
   }
 
   async benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult> {
