@@ -28,6 +28,7 @@ EMULATE = f"""
     window.device = new IWER.XRDevice(IWER.metaQuest3, {{ stereoEnabled: true, ipd: {EYES}, fovy: 1.2 }});
     window.device.installRuntime({{ forceInstall: true }});
     window.device.position.set({", ".join(map(str, HEAD))});
+    for (const hand of ["left", "right"]) window.device.controllers[hand].position.set(0.2, 1.2, 1); // behind the head
 """
 
 
@@ -99,13 +100,7 @@ def cases() -> dict[str, tuple[Scene, tuple[Camera, ...], float]]:
 def test_each_eye_sees_what_a_march_renders(page: Page, tmp_path: Path, serve: Serve, name: str) -> None:
     scene, cameras, metres = cases()[name]
     enter(page, tmp_path, serve, scene, cameras, metres)
-    shown = picture_of(page)
-    from PIL import Image
-
-    Image.fromarray((np.concatenate([shown, both_eyes(scene, placed(scene, cameras[0], metres))]) * 255).astype(np.uint8)).save(
-        f"/tmp/notes19/vr {name}.png"
-    )
-    compare(shown, both_eyes(scene, placed(scene, cameras[0], metres)))
+    compare(picture_of(page), both_eyes(scene, placed(scene, cameras[0], metres)))
 
 
 def stick(page: Page, hand: str, x: float, y: float) -> None:
@@ -124,23 +119,21 @@ def test_moving_turning_holding_and_leaving(page: Page, tmp_path: Path, serve: S
     turn[:3, :3], head[:3, 3] = rotation((0, np.pi / 6, 0)), HEAD
     turned = head @ turn @ np.linalg.inv(head) @ room
     compare(picture_of(page), both_eyes(scene, turned))
-    page.evaluate("device.controllers.right.position.set(0.2, 1.2, -0.3)")
-    frames(page, 2)
     page.evaluate("device.controllers.right.updateButtonValue('trigger', 1)")
     frames(page, 2)
-    page.evaluate("device.controllers.right.position.set(0.1, 1.3, -0.2)")
+    page.evaluate("device.controllers.right.position.set(0.6, 1.3, 1.1)")
     frames(page, 2)
     page.evaluate("device.controllers.right.updateButtonValue('trigger', 0)")
     frames(page, 2)
     held = turned.copy()
-    held[:3, 3] += (-0.1, 0.1, 0.1)
+    held[:3, 3] += (0.4, 0.1, 0.1)
     shown = picture_of(page)
-    assert np.abs(shown - both_eyes(scene, held)).mean() < np.abs(shown - both_eyes(scene, turned)).mean() / 4, "the scene follows the hand"
-    stick(page, "left", 0, -1)
-    frames(page, 12)
+    compare(shown, both_eyes(scene, held))
+    stick(page, "left", 0, -0.5)
+    frames(page, 3)
     stick(page, "left", 0, 0)
     frames(page, 2)
-    assert np.mean(picture_of(page) < 0.9) > 1.2 * np.mean(shown < 0.9), "a step forward: the scene is larger"
+    assert np.mean(picture_of(page) < 0.9) > 1.03 * np.mean(shown < 0.9), "a step forward: the scene is larger"
     page.evaluate("device.controllers.right.updateButtonValue('b-button', 1)")
     expect(page.get_by_role("button", name="Enter VR")).to_have_count(1)
     page.set_viewport_size({"width": 500, "height": 400})

@@ -1,6 +1,17 @@
 // How sticks and hands move the scene around a person: the left stick walks, the right one turns, B and Y leave; a trigger or a pinch takes
 // hold of the scene, with both hands one also turns it.
-import { BufferGeometry, type Camera, Group, Line, LineBasicMaterial, Matrix4, type Object3D, Vector3, type XRTargetRaySpace } from "three";
+import {
+  type ArrayCamera,
+  BufferGeometry,
+  type Camera,
+  Group,
+  Line,
+  LineBasicMaterial,
+  Matrix4,
+  type Object3D,
+  Vector3,
+  type XRTargetRaySpace,
+} from "three";
 
 const SPEED = 1.5; // metres a second at the stick's end
 const TURN = Math.PI / 6; // radians a push of the right stick: turning smoothly makes people ill
@@ -60,8 +71,8 @@ export class Movement {
     }
   }
 
-  /** A frame. time: milliseconds. head: the camera between the eyes. */
-  step(time: number, head: Camera): void {
+  /** A frame. time: milliseconds. head: the cameras of the eyes. */
+  step(time: number, head: ArrayCamera): void {
     const seconds = Math.min((time - this.before) / 1000, LONGEST);
     this.before = time;
     let push = 0;
@@ -72,7 +83,7 @@ export class Movement {
       if (handedness === "right") push = x;
       else this.walk(x, y, seconds, head);
     }
-    if (Math.abs(push) > PUSHED && !this.pushed) this.turn(Math.sign(push) * TURN, new Vector3().setFromMatrixPosition(head.matrixWorld));
+    if (Math.abs(push) > PUSHED && !this.pushed) this.turn(Math.sign(push) * TURN, middleOf(head));
     this.pushed = Math.abs(push) > PUSHED;
     this.drag();
     this.group.matrixWorldNeedsUpdate = true;
@@ -108,11 +119,16 @@ export class Movement {
     const { held } = this;
     this.held = now;
     if (!now.length || held.length !== now.length) return;
-    const middle = (points: Vector3[]) => points.reduce((sum, point) => sum.add(point), new Vector3()).divideScalar(points.length);
-    const centre = middle(now);
-    this.move(centre.clone().sub(middle(held)));
+    const centre = mean(now);
+    this.move(centre.clone().sub(mean(held)));
     if (now.length < 2) return;
     const heading = ([a, b]: Vector3[]) => Math.atan2(b.x - a.x, b.z - a.z);
     this.turn(heading(now) - heading(held), centre);
   }
 }
+
+const mean = (points: readonly Vector3[]): Vector3 =>
+  points.reduce((sum, point) => sum.add(point), new Vector3()).divideScalar(points.length);
+
+/** The point between the eyes; three.js puts the camera that stands for both behind them. */
+const middleOf = ({ cameras }: ArrayCamera): Vector3 => mean(cameras.map((eye) => new Vector3().setFromMatrixPosition(eye.matrixWorld)));
