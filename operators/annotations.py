@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..core.errors import SnergError
-from ..snerg_addon.annotations import add_note, annotate
+from ..snerg_addon.annotation_objects import add_note, annotate
 
 
 class SNERG_OT_add_annotation(bpy.types.Operator):

@@ -13,7 +13,7 @@ from ..core.io.files import write_bytes
 from ..core.io.json_files import json_bytes
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
-from ..snerg_addon.annotations import core_annotations, units_of
+from ..snerg_addon.annotation_objects import core_annotations, units_of
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import LOSSY

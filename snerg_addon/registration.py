@@ -9,7 +9,7 @@ import bpy
 from .. import operators
 from ..operators import quit, watch
 from . import (
-    annotations,
+    annotation_objects,
     box_gizmo,
     command,
     engine,
@@ -33,7 +33,7 @@ CLASSES = (
     *steps.CLASSES,
     *results.CLASSES,
     scene_object.SNERG_PG_object,
-    *annotations.CLASSES,
+    *annotation_objects.CLASSES,
     engine.SNERG_RE_engine,
     *operators.classes(),
     *panels.CLASSES,
@@ -49,7 +49,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     bpy.types.Object.snerg = bpy.props.PointerProperty(type=scene_object.SNERG_PG_object)
-    bpy.types.Object.snerg_note = bpy.props.PointerProperty(type=annotations.SNERG_PG_note)
+    bpy.types.Object.snerg_note = bpy.props.PointerProperty(type=annotation_objects.SNERG_PG_note)
     steps.register()
     results.register()
     menus.register()

@@ -6,7 +6,7 @@ from typing import Any
 
 import bpy
 
-from ..annotations import notes_of
+from ..annotation_objects import notes_of
 from ..project import project_of
 from ..properties import LOSSY
 from .layout import Step, draw_box, joined, megabytes

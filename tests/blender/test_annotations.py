@@ -10,7 +10,7 @@ from stage import add_camera
 
 from snerg.core.cli import parser
 from snerg.core.export.annotations import Annotation, read_annotations
-from snerg.snerg_addon.annotations import core_annotations, notes_of, units_of
+from snerg.snerg_addon.annotation_objects import core_annotations, notes_of, units_of
 from snerg.tests.blender.test_operators import started
 
 
