@@ -43,7 +43,7 @@ class SNERG_OT_remove_annotation(bpy.types.Operator):
 
     bl_idname = "snerg.remove_annotation"
     bl_label = "Remove Annotation"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options = {"REGISTER", "UNDO", "INTERNAL"}
 
     name: bpy.props.StringProperty(name="Empty", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore[valid-type]
 
@@ -52,6 +52,9 @@ class SNERG_OT_remove_annotation(bpy.types.Operator):
         thing = context.scene.objects.get(self.name)
         if thing is None:
             self.report({"ERROR"}, f"The scene has no object {self.name!r}.")
+            return {"CANCELLED"}
+        if thing.library is not None:
+            self.report({"ERROR"}, f"{self.name!r} is linked from another file; remove its text there.")
             return {"CANCELLED"}
         thing.snerg_note.text = ""
         return {"FINISHED"}
