@@ -128,8 +128,11 @@ def test_several_measures_and_their_removal(browser: Browser, address: str) -> N
     for pixel in ((160, 150), (240, 150), (165, 180), (225, 183), (160, 165), (160, 190)):
         page.mouse.click(left + pixel[0], top + pixel[1])
     texts = lengths(page)
-    page.screenshot(path="/tmp/notes19/measure.png")
     assert len(texts) == 3
+    boxes = [item.bounding_box() for item in page.locator(".measure li").all()]
+    for i, a in enumerate(boxes):
+        for b in boxes[i + 1 :]:
+            assert a and b and (a["y"] + a["height"] <= b["y"] or b["y"] + b["height"] <= a["y"]), "no label lies over another"
     page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
     assert page.evaluate(AXE) == []
     page.get_by_role("button", name=f"Remove {texts[1]}").click()

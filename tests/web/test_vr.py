@@ -20,7 +20,7 @@ from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import ROOT, opened, picture_of
 
 Serve = Callable[[Path], str]
-WIDTH, HEIGHT = 320, 180  # of both eyes
+WIDTH, HEIGHT = 200, 112  # of both eyes
 EYES = 0.064  # metres between them
 HEAD = (0.05, 1.62, 0.03)
 UPRIGHT = rotation((-np.pi / 2, 0, 0))  # Blender's Z up to the headset's Y up

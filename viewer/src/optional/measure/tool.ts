@@ -16,6 +16,7 @@ import { lengthText } from "./length";
 import style from "./style.css";
 
 const CLICK = 5; // pixels that a pointer may move between down and up: more is a drag, which turns the view
+const GAP = 10; // pixels from a line to its label
 const STEP = 10; // pixels that an arrow key moves the cross; 1 with Shift
 const ARROWS: ReadonlyMap<string, readonly [number, number]> = new Map([
   ["ArrowLeft", [-1, 0]],
@@ -209,6 +210,7 @@ class Tool {
     const begun = this.start ? viewer.project(this.start.position) : null;
     this.first.style.display = begun && begun.depth > 0 ? "" : "none";
     if (begun) draw(this.first, { cx: begun.x, cy: begun.y });
+    const shown: Middle[] = [];
     for (const { points, line, dots, label } of this.measures) {
       const ends = points.map((point) => viewer.project(point.position));
       const seen = ends.every(({ depth }) => depth > 0); // a line past the camera has no other end in the picture
@@ -218,8 +220,31 @@ class Tool {
       ends.forEach((end, i) => {
         draw(dots[i], { cx: end.x, cy: end.y });
       });
-      label.style.transform = `translate(-50%, calc(-100% - 10px)) translate(${((a.x + b.x) / 2).toFixed(1)}px, ${((a.y + b.y) / 2).toFixed(1)}px)`;
+      if (seen) shown.push({ label, x: (a.x + b.x) / 2, y: (a.y + b.y) / 2 });
     }
+    placeLengths(shown);
+  }
+}
+
+/** The middle of a line, above which its label lies. */
+interface Middle {
+  label: HTMLElement;
+  x: number;
+  y: number;
+}
+
+/** Put each label above the middle of its line; one that would lie over another goes above that. */
+function placeLengths(middles: Middle[]): void {
+  const taken: (readonly [left: number, top: number, right: number, bottom: number])[] = [];
+  for (const { label, x, y } of middles) {
+    const { offsetWidth: width, offsetHeight: height } = label;
+    const left = x - width / 2;
+    let top = y - height - GAP;
+    for (const [l, t, r] of [...taken].sort((a, b) => b[1] - a[1])) {
+      if (left < r && left + width > l && top < t + height + 2 && top + height > t - 2) top = t - height - 3;
+    }
+    taken.push([left, top, left + width, top + height]);
+    label.style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px)`;
   }
 }
 
