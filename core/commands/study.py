@@ -31,6 +31,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--part", type=part, metavar="I/N", help="measure one of N parts only, such as 2/8; run without --part at the end, for the report"
     )
+    parser.add_argument(
+        "--benchmark", type=path, action="append", default=[], metavar="FILE", help="a benchmark that a web page saved, for the report"
+    )
     wanted = parser.add_argument_group("targets", "The cheapest measured configuration that meets all of them is written to DIR/scene.")
     wanted.add_argument("--target-db", type=positive, metavar="DB", help="lowest PSNR on held-out views")
     wanted.add_argument("--target-mb", type=positive, metavar="MB", help="most megabytes of files")
@@ -46,9 +49,9 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     settings = StudySettings(options.minutes, options.resolution, options.views, options.repeats, options.box, paper=options.paper)
     target = StudyTarget(options.target_db, options.target_mb, options.target_ms)
     if options.part is None:
-        return study(options.source, options.out, options.dataset, settings, target, progress)
-    if target or options.paper:
-        raise SnergError("Targets and --paper belong to the whole study; give them to the last run, which has no --part.")
+        return study(options.source, options.out, options.dataset, settings, target, progress, options.benchmark)
+    if target or options.paper or options.benchmark:
+        raise SnergError("Targets, --paper and --benchmark belong to the whole study; give them to the last run, which has no --part.")
     return study_part(options.source, options.out, options.part, options.dataset, settings, progress)
 
 

@@ -25,6 +25,7 @@ from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .annotations import annotations_json
+from .cell_order import cell_order
 from .codecs import PNG, CodecSettings
 from .optional_code import FOLDER as OPTIONAL
 from .optional_code import optional_names, page_parts
@@ -53,7 +54,8 @@ def write_bundle(
     """Write index.html, page.css, viewer.js, cameras.json, a poster and scene/ (see scene_files.write_scene_files), whole or not at all.
 
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
-    rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
+    rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice;
+    exact ones are written anew where that brings the cells that the first camera sees to the front (see cell_order.py).
     The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
     holds coarse/, which the page shows as soon as somebody moves.
     Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
@@ -64,14 +66,16 @@ def write_bundle(
     files = viewer_files(optional_names(single_file, page))
     cameras = [camera for camera in cameras if not camera.is_wide]
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
-    poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
+    poster = poster_bytes(scene, cameras[0], page, within(rendering, 0.0, 0.8)) if cameras else None
+    coarse = not single_file and len(scene.cells) >= COARSE_FROM
+    listed: dict[str, Any] = cameras_json(cameras) | ({"coarse": True} if coarse else {})
+    if coarse and cameras:
+        scene, source, listed["layers"] = _in_order(scene, cameras[0], codec, source, within(rendering, 0.8, 1.0))
     writing = within(progress, POSTER_SHARE, 1.0)
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
-        coarse = not single_file and len(scene.cells) >= COARSE_FROM
-        more: dict[str, Any] = ({"coarse": True} if coarse else {}) | parts_json(page)
-        (data / "cameras.json").write_bytes(json_bytes(cameras_json(cameras) | more))
+        (data / "cameras.json").write_bytes(json_bytes(listed | parts_json(page)))
         if page.annotations:
             (data / "annotations.json").write_bytes(json_bytes(annotations_json(page.annotations)))
         if coarse:
@@ -93,6 +97,16 @@ def write_bundle(
             write_data(temporary)
         written = [path for path in temporary.rglob("*") if path.is_file() and path.name != MARK]
         return {"files": len(written), "bytes": sum(path.stat().st_size for path in written)}
+
+
+def _in_order(
+    scene: Scene, camera: Camera, codec: CodecSettings, source: Path | None, progress: Progress
+) -> tuple[Scene, Path | None, dict[str, Any]]:
+    """The scene with the cells that a camera sees first, the source to copy, and "layers" of cameras.json. A lossy source is kept."""
+    order = cell_order(scene, camera, progress)
+    if source is not None and codec != PNG:
+        return scene, source, order.layers(in_order=False)
+    return order.sorted(scene), None, order.layers(in_order=True)
 
 
 def _write_scene(scene: Scene, folder: Path, codec: CodecSettings, source: Path | None, progress: Progress) -> None:

@@ -18,6 +18,7 @@ from PIL import Image
 
 from ..io.files import write_bytes
 from ..io.images import png_bytes, read_image
+from .benchmarks import Benchmark
 from .machine import machine_line
 from .packages import needs_package
 from .paper_tables import WHY, cell, tables
@@ -51,6 +52,7 @@ class StudyResults:
     plan: Sequence[PlanStep]
     left_out: list[str]  # texts of the steps that the time limit left out
     baseline: StudyRow
+    benchmarks: Sequence[Benchmark] = ()  # of web pages, measured in browsers
 
     @property
     def field(self) -> StudyRow | None:

@@ -17,6 +17,7 @@ from ..io.images import read_image, write_png
 from ..io.json_files import json_bytes
 from ..progress import Progress
 from ..units import duration, file_size
+from .benchmarks import Benchmark, benchmarks_csv
 from .contact_sheet import contact_sheet, error_picture
 from .evaluate import COLUMNS
 from .pareto import StudyTarget, choose
@@ -29,7 +30,12 @@ SHEET_ROWS = 5  # configurations on the contact sheet
 
 
 def study_results(
-    sweep: Sweep, plan: Sequence[PlanStep], baseline: Configuration, about: dict[str, Any], left_out: list[str]
+    sweep: Sweep,
+    plan: Sequence[PlanStep],
+    baseline: Configuration,
+    about: dict[str, Any],
+    left_out: list[str],
+    benchmarks: Sequence[Benchmark] = (),
 ) -> StudyResults:
     """The results of all rows; the best row takes the place of a baseline that is not measured. Raises SnergError without rows."""
     rows = {step.config.key: sweep.rows[step.config.key] for step in plan if step.config.key in sweep.rows}
@@ -38,7 +44,7 @@ def study_results(
     alone = sorted((row for row in sweep.rows.values() if row["config"] is None), key=lambda row: row.get("trained_seconds") or 0)
     taken = rows.get(baseline.key) or max(rows.values(), key=lambda row: row["psnr"])
     title = f"What accuracy costs: {Path(about['path']).name}"
-    return StudyResults(title, about, rows, alone, plan, left_out, taken)
+    return StudyResults(title, about, rows, alone, plan, left_out, taken, benchmarks)
 
 
 def write_results(results: StudyResults, out: Path) -> None:
@@ -49,6 +55,9 @@ def write_results(results: StudyResults, out: Path) -> None:
     value = {**results.about, "usual": results.baseline["key"], "left_out": results.left_out, "rows": rows}
     value["front"] = [row["key"] for row in results.pareto_front]
     value["predictions_within_a_quarter"] = {name: list(pair) for name, pair in accuracy(results.predictions).items()}
+    if results.benchmarks:
+        value["benchmarks"] = results.benchmarks
+        write_bytes(out / "benchmarks.csv", benchmarks_csv(results.benchmarks).encode())
     write_bytes(out / "study.json", json_bytes(value))
     write_bytes(out / "study.csv", csv_of(rows, results.plan).encode())
     write_png(out / "contact.png", results_sheet(results, out / "pictures"))

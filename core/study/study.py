@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..artifact import Result, kind_of
 from ..errors import SnergError
 from ..io.lock import writes_out
 from ..progress import Progress, silent, within
+from .benchmarks import add_benchmarks, benchmarks_of
 from .inputs import begin, study_inputs
 from .measure import measure, variants
 from .packages import needs_package
@@ -30,33 +32,44 @@ def study(
     settings: StudySettings = DEFAULT_SETTINGS,
     target: StudyTarget = NO_TARGET,
     progress: Progress = silent,
+    benchmarks: Sequence[Path] = (),
 ) -> Result:
     """Measure configurations of a field, a dataset or a baked scene, the coarse ones first, and write study.json, study.csv, report.html,
     contact.png and plots to `out`.
 
     source: a field, a checkpoint, a dataset (fields of different lengths are trained first) or a baked scene (which is only stored and
     rendered with other settings). dataset: to measure on, where the source does not name it. A study in `out` is continued: no row is
-    measured twice. target: the cheapest measured configuration that meets it is written to out/scene.
+    measured twice. target: the cheapest measured configuration that meets it is written to out/scene. benchmarks: files that web pages
+    saved (their #benchmark), for the report; earlier ones stay in it.
 
     Raises SnergError on bad input, where the time limit allows no measurement, where earlier results belong to another study or
     cannot be read, and where no configuration meets the target (after the report is written); Cancelled when `progress` does.
     """
     check_packages()
     with no_parts(out):
-        return _study(source, out, dataset, settings, target, progress)
+        return _study(source, out, dataset, settings, target, progress, benchmarks)
 
 
-def _study(source: Path, out: Path, dataset: Path | None, settings: StudySettings, target: StudyTarget, progress: Progress) -> Result:
+def _study(
+    source: Path,
+    out: Path,
+    dataset: Path | None,
+    settings: StudySettings,
+    target: StudyTarget,
+    progress: Progress,
+    benchmarks: Sequence[Path],
+) -> Result:
     deadline = time.monotonic() + 60 * settings.minutes
     inputs = study_inputs(source, dataset, settings)
     begin(out, inputs.about)
+    add_benchmarks(benchmarks, out)
     begun = 0.3 if inputs.opened is None else 0.02  # fraction of the progress until the first configuration
     sweep, plan, baseline = prepare(inputs, out, settings, within(progress, 0, begun))
     left_out = measure(sweep, plan, baseline, deadline, settings.minutes, within(progress, begun, 0.95))
     if settings.paper and sweep.subject.scene is None:
         left_out += variants(sweep, plan, baseline, deadline, settings, within(progress, 0.95, 0.95))
     inputs.about["notes"] += elsewhere(out)
-    results = study_results(sweep, plan, baseline, inputs.about, left_out)
+    results = study_results(sweep, plan, baseline, inputs.about, left_out, benchmarks_of(out))
     write_results(results, out)
     result = summary_of(results, out)
     if target:

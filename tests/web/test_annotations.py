@@ -20,6 +20,7 @@ from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 CAMERAS = make_cameras()
+WIDTH = 560
 HOSTILE = '<img src=x onerror="window.hurt=1"></script><script>window.hurt=1</script>'
 NOTES = (
     Annotation("The window, right through the ball", (0.1, -0.66, 0.2), "Shifted, rolled"),
@@ -33,7 +34,7 @@ NOTES = (
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> str:
     folder = tmp_path_factory.mktemp("notes") / "web"
-    write_bundle(make_snerg(), CAMERAS, folder, page=PageSettings(annotations=NOTES))
+    write_bundle(make_snerg((37, 33, 48)), CAMERAS, folder, page=PageSettings(annotations=NOTES))
     return serve(folder)
 
 
@@ -44,7 +45,7 @@ def boxes(page: Page, only: str = "") -> np.ndarray:
 
 
 def show(page: Page, address: str) -> None:
-    page.set_viewport_size({"width": 800, "height": 600})
+    page.set_viewport_size({"width": WIDTH, "height": 480})
     assert opened(page, address) is None
     page.wait_for_selector(".notes .label")
     page.evaluate("window.snerg.settled()")
@@ -55,14 +56,14 @@ def test_labels_lie_at_their_points_and_not_over_one_another(page: Page, address
     show(page, address)
     points = page.locator(".notes .anchor").evaluate_all("all => all.map(e => [+e.getAttribute('cx'), +e.getAttribute('cy')])")
     camera, height = CAMERAS[0], page.locator("#canvas").bounding_box()["height"]  # type: ignore[index]
-    scale = min(800 / camera.width, height / camera.height)
+    scale = min(WIDTH / camera.width, height / camera.height)
     local = (np.array([note.position for note in NOTES]) - camera.camera_to_world[:3, 3]) @ camera.camera_to_world[:3, :3]
-    expected = np.array(camera.focal) * local[:, :2] / -local[:, 2:] * [1, -1] * scale + [400, height / 2]
+    expected = np.array(camera.focal) * local[:, :2] / -local[:, 2:] * [1, -1] * scale + [WIDTH / 2, height / 2]
     assert np.abs(np.array(points) - expected).max() < 0.1
     shown = boxes(page, ":not(.away)")
     assert len(shown) == len(NOTES)
     for i, a in enumerate(shown):
-        assert a[0] >= 0 and a[1] >= 0 and a[2] <= 800 and a[3] <= height, "inside of the picture"
+        assert a[0] >= 0 and a[1] >= 0 and a[2] <= WIDTH and a[3] <= height, "inside of the picture"
         for b in shown[i + 1 :]:
             assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1], "no label lies over another"
 
@@ -95,9 +96,13 @@ def test_keys_and_screen_readers_reach_them(page: Page, address: str) -> None:
     page.locator(".notes .label").first.focus()
     page.keyboard.press("Enter")
     expect(page.locator("#camera")).to_have_value("1")
-    page.wait_for_timeout(1500)
-    state = page.evaluate("document.querySelector('snerg-viewer').viewer.state")
-    assert state["camera"] == "Shifted, rolled" and state["atCamera"], "it has flown there"
+    for _ in range(100):
+        state = page.evaluate("document.querySelector('snerg-viewer').viewer.state")
+        if state["camera"] == "Shifted, rolled" and state["atCamera"]:
+            break
+        page.wait_for_timeout(100)
+    else:
+        pytest.fail("it does not fly to the label's camera")
     page.get_by_role("button", name="Notes").click()
     assert not page.locator(".notes").is_visible()
 
@@ -118,7 +123,7 @@ def test_a_label_outside_of_the_picture_shows_when_it_is_focused(page: Page, add
     away.focus()
     expect(away).to_have_css("opacity", "1")
     box = away.bounding_box()
-    assert box and box["x"] >= 0 and box["x"] + box["width"] <= 800
+    assert box and box["x"] >= 0 and box["x"] + box["width"] <= WIDTH
 
 
 def test_only_pages_with_annotations_hold_their_code(page: Page, tmp_path: Path, serve: Serve) -> None:

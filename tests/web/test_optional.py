@@ -12,6 +12,7 @@ from playwright.sync_api import Page
 from scenes import make_cameras, make_snerg
 from snerg.core.export import bundle
 from snerg.core.export.bundle import VIEWER, write_bundle
+from snerg.core.study.benchmarks import read_benchmark
 from snerg.tests.web.conftest import opened
 
 Serve = Callable[[Path], str]
@@ -49,6 +50,33 @@ def test_optional_code_shares_the_classes_of_viewer_js() -> None:
     """Each script is far smaller than three.js, of which it uses classes."""
     for script in (VIEWER / "dist" / "optional").iterdir():
         assert script.stat().st_size < 40_000
+
+
+def test_a_benchmark_is_measured_and_read(page: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
+    """What the page saves is what a study reads."""
+    assert opened(page, serve(made) + "?width=80&height=60#benchmark=360&frames=2") is None
+    with page.expect_download() as saved:
+        page.get_by_role("button", name="Save JSON").click()
+    saved.value.save_as(tmp_path / "benchmark.json")
+    found = read_benchmark(tmp_path / "benchmark.json")
+    assert found == page.evaluate("window.snerg.benchmark")
+    assert (found["kind"], found["width"], found["height"], found["frames"]) == ("360", 990, 773, 2)
+    assert found["fps"] == pytest.approx(1000 / found["ms"]) and 1 < found["ms"] < 60_000
+    files = sum(path.stat().st_size for path in (made / "scene").glob("*_*.png"))
+    assert found["megabytes"] == pytest.approx(files / 1e6)
+    pages, pixels = 2 * 4 * 32**3, 4 * 990 * 773  # one cell of colour and features, and the image
+    assert found["memory_megabytes"] == pytest.approx((pages + 8**3 + 4 + pixels) / 1e6)
+
+
+@pytest.mark.slow
+def test_a_benchmark_is_cancelled(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made) + "?width=80&height=60#benchmark") is None
+    page.locator("#benchmark").get_by_role("status").filter(has_text="Frame").wait_for()
+    page.get_by_role("button", name="Cancel").click()
+    assert page.locator("#benchmark").count() == 0
+    while not page.evaluate("'benchmark' in window.snerg"):
+        page.wait_for_timeout(50)
+    assert page.evaluate("window.snerg.benchmark") is None and page.evaluate("window.snerg.problem") is None
 
 
 def test_optional_code_is_fetched_when_it_is_wanted(page: Page, made: Path, serve: Serve) -> None:

@@ -24,6 +24,7 @@ from snerg.core.export.page_settings import PageSettings
 from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.coarse import coarse_scene
+from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import ROOT, opened, picture
 
 Serve = Callable[[Path], str]
@@ -110,12 +111,42 @@ def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) 
     assert page.locator("#poster").is_visible() and page.get_by_role("status").is_visible()
     page.get_by_role("combobox", name="Camera").select_option("Parallel")
     shown, expected = picture(page), render_scene(coarse_scene(scene), make_cameras()[2]).over()
-    assert near(shown[:60], expected[:60]) and expected[:60].std() > 0.05  # the progress lies over the picture's foot
+    assert np.abs(shown - expected)[:60].mean() < 1 / 255  # the progress lies over the picture's foot; as a stand-in it is smoother
+    assert expected[:60].std() > 0.05
     assert page.locator("#poster").is_hidden()
     page.unroute("**/scene/rgba_*.png")  # lets what was held go on
     assert page.evaluate("window.snerg.ready") and page.evaluate("window.snerg.problem") is None
     assert near(picture(page), render_scene(scene, make_cameras()[2]).over())
     assert page.get_by_role("status").is_hidden()
+
+
+@pytest.mark.slow
+def test_the_picture_grows(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """While later layers are on their way, the first view is whole already, another one has no holes, and a lost context is mended."""
+    scene = make_snerg(shape=(131, 122, 122))
+    solid = scene.cells.copy()
+    solid[..., -1] = 255
+    scene = replace(scene, cells=solid)
+    write_bundle(scene, make_cameras(), tmp_path / "web")
+    layers = json.loads((tmp_path / "web" / "cameras.json").read_text())["layers"]
+    assert layers["order"] == sorted(layers["order"]) and 0 < layers["seen"] < len(layers["order"])
+    held = f"**/scene/rgba_{8 * layers['seen'] + 3:03}.png"
+    page.route(held, lambda route: None)  # the layers behind what the camera sees are not answered for now
+    page.goto(serve(tmp_path / "web") + "?width=160&height=120")
+    page.locator("#poster").wait_for(state="hidden")  # all is there that the first camera sees
+    clear = slice(0, 48)  # rows above the progress
+    assert near(picture(page)[clear], truth_of(scene, 0)[clear]) and page.get_by_role("status").is_visible()
+    page.get_by_role("combobox", name="Camera").select_option("Parallel")
+    grown, coarse, whole = picture(page), render_scene(coarse_scene(scene), make_cameras()[2]).over(), truth_of(scene, 2)
+    assert np.abs(grown - whole)[clear].mean() < 0.5 * np.abs(coarse - whole)[clear].mean()
+    page.locator("#canvas").evaluate(LOSE)
+    page.unroute(held)
+    assert page.evaluate("window.snerg.ready") and page.evaluate("window.snerg.problem") is None
+    assert near(picture(page), whole)
+
+
+def truth_of(scene: Scene, index: int) -> np.ndarray:
+    return render_scene(scene, make_cameras()[index]).over()
 
 
 def test_a_poster_lies_inside_a_single_file(page: Page, tmp_path: Path) -> None:

@@ -20,4 +20,4 @@ export {
   type ViewerState,
 } from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
-export { SnergVolume, type VolumeOptions } from "./volume/volume";
+export { type GrowthOptions, SnergVolume, type VolumeOptions } from "./volume/volume";

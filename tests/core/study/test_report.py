@@ -1,6 +1,7 @@
 """The report of whatever was measured: few rows, gaps between their times, figures at their bounds, and text that is no HTML."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,6 +79,16 @@ def test_figures_at_their_bounds(more, tmp_path):
 def test_nothing_measured_is_a_sentence(tmp_path):
     with pytest.raises(SnergError, match="nothing to report"):
         reported([], tmp_path)
+
+
+def test_benchmarks_of_pages_are_in_the_report(tmp_path):
+    _, found = reported(measured([5.0, 6.0]), tmp_path)
+    browser = {"title": "<b>Head</b>", "kind": "360", "width": 990, "height": 773, "frames": 150, "ms": 12.5, "fps": 80.0}
+    browser |= {"memory_megabytes": 210.5, "megabytes": 38.2, "codec": "png", "graphics": "A card"}
+    write_results(replace(found, benchmarks=[browser]), tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "&lt;b&gt;Head&lt;/b&gt;" in page and "<td>12.5</td><td>80.0</td>" in page
+    assert (tmp_path / "benchmarks.csv").read_text().count("\n") == 2
 
 
 def test_text_in_a_row_is_no_html(tmp_path):

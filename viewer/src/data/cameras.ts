@@ -29,17 +29,24 @@ export interface WorldUnits {
   system: (typeof SYSTEMS)[number]; // none: in units of the scene
 }
 
+/** The layers of the atlas in the order of their importance to the first camera, of which the first `seen` hold all that it sees. */
+export interface LayerOrder {
+  order: number[];
+  seen: number;
+}
+
 /** What cameras.json says. */
 export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
   parts: PartName[];
   units: WorldUnits;
+  layers: LayerOrder | null; // what the scene's cells are read by; null where it does not matter
 }
 
 /** The cameras of a file; one without a name gets one. Rejects with a ViewerError where the file is no list of cameras. */
 export async function readCameras(source: FileSource, name: string, signal?: AbortSignal): Promise<CameraList> {
-  const value = (await readJson(source, name, signal)) as { cameras?: unknown; coarse?: unknown; parts?: unknown; units?: unknown } | null;
+  const value = (await readJson(source, name, signal)) as { [key in keyof CameraList]?: unknown } | null;
   if (!Array.isArray(value?.cameras) || !value.cameras.every(isCamera)) {
     throw new ViewerError(`The file ${name} is damaged: it is not a list of cameras. ${EXPORT_AGAIN}`);
   }
@@ -49,7 +56,8 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
   const parts = PARTS.filter((part) => Array.isArray(value.parts) && value.parts.includes(part));
-  return { cameras, coarse: value.coarse === true, parts, units: unitsOf(value.units) };
+  const layers = isLayerOrder(value.layers) ? value.layers : null;
+  return { cameras, coarse: value.coarse === true, layers, parts, units: unitsOf(value.units) };
 }
 
 /** Units as a file gives them; metres where they are missing or damaged. */
@@ -59,6 +67,11 @@ function unitsOf(value: unknown): WorldUnits {
     metres: typeof metres === "number" && metres > 0 && Number.isFinite(metres) ? metres : 1,
     system: SYSTEMS.find((each) => each === system) ?? "metric",
   };
+}
+
+function isLayerOrder(value: unknown): value is LayerOrder {
+  const { order, seen } = (value ?? {}) as Partial<LayerOrder>;
+  return Array.isArray(order) && order.every((layer) => Number.isSafeInteger(layer) && layer >= 0) && Number.isSafeInteger(seen);
 }
 
 function isCamera(camera: (SnergCamera & { camera_to_world: unknown }) | null): boolean {

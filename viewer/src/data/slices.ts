@@ -20,8 +20,14 @@ export interface SliceTexels {
   feature: Uint8Array | null; // null in a diffuse scene
 }
 
-/** How many slices a scene has. */
-export const sliceCount = (scene: SceneDescription): number => (scene.atlas_blocks[2] * CELL_VOXELS) / SLICE_PLANES;
+/** Slices that hold a layer of cells. */
+export const LAYER_SLICES = CELL_VOXELS / SLICE_PLANES;
+
+/** All slices, layer by layer: first those of the layers in `order`. */
+export function sliceOrder(scene: SceneDescription, order: readonly number[] = []): number[] {
+  const layers = new Set([...order, ...Array(scene.atlas_blocks[2]).keys()].filter((layer) => layer < scene.atlas_blocks[2]));
+  return [...layers].flatMap((layer) => Array.from({ length: LAYER_SLICES }, (_, i) => layer * LAYER_SLICES + i));
+}
 
 /** The texels of a slice. Rejects with a ViewerError that names a file which is missing or damaged, or with the signal's reason. */
 export async function readSlice(

@@ -116,6 +116,7 @@ export class SnergViewerElement extends HTMLElement {
       camera: this.getAttribute("camera"),
       background: colourOf(background),
       size,
+      covered: () => !this.find("poster").hidden,
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
     this.viewer = viewer;
@@ -129,12 +130,12 @@ export class SnergViewerElement extends HTMLElement {
       const about = (bytes / slices) * totalSlices; // its slices are about equally large
       this.find("loading-text").textContent = `Loading the scene: ${megabytes(bytes)} of about ${megabytes(about)} MB`;
     });
-    viewer.on("image", ({ width, height, milliseconds, coarse }) => {
+    viewer.on("image", ({ width, height, milliseconds, coarse, whole }) => {
       // The poster is finer than the coarse scene, but it shows one view alone.
       const poster = this.find("poster");
       const { atCamera, camera } = viewer.state;
       if (!coarse || !atCamera || camera !== (viewer.cameras[0]?.name ?? "")) poster.hidden = true;
-      this.find("loading").hidden = !coarse;
+      this.find("loading").hidden = whole;
       this.find("loading").classList.add("beside");
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;

@@ -54,6 +54,7 @@ export class ProgressiveRenderer {
   private changed = false;
   private changedAt = 0;
   private rows = 0; // of the full image that are rendered, from the top
+  private under = this.draft; // what the other rows show
   private spent = 0; // milliseconds on the full image so far
   private sync: WebGLSync | null = null;
   private drawn = { pixels: 1, since: 0, full: false, width: 0, height: 0 };
@@ -86,6 +87,15 @@ export class ProgressiveRenderer {
   change(): void {
     this.changed = true;
     this.changedAt = performance.now();
+    this.schedule(0);
+  }
+
+  /** Render the full image again in place of the one that is shown: the scene is finer, the view is the same. */
+  refine(): void {
+    if (!this.frames || this.changed) return this.change();
+    if (this.rows >= this.image.y) this.under = this.full;
+    this.rows = 0;
+    this.spent = 0;
     this.schedule(0);
   }
 
@@ -161,6 +171,7 @@ export class ProgressiveRenderer {
   private begin(): void {
     const [width, height] = this.image;
     this.changed = false;
+    this.under = this.draft;
     this.rows = 0;
     this.spent = 0;
     const affordable = this.cost === null ? 0 : BUDGET / (this.cost * width * height);
@@ -178,7 +189,7 @@ export class ProgressiveRenderer {
     const height = this.image.y;
     const rows = Math.min(height - this.rows, Math.max(MIN_BAND_ROWS, maxRows));
     this.draw(this.full, this.rows, rows);
-    if (this.rows > 0 || rows < height) this.show(this.draft, this.rows + rows, height - this.rows - rows);
+    if (this.rows > 0 || rows < height) this.show(this.under, this.rows + rows, height - this.rows - rows);
     this.rows += rows;
     this.show(this.full, 0, this.rows);
   }

@@ -1,13 +1,13 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
-import { type PartName, readCameras, type SnergCamera, type WorldUnits } from "../data/cameras";
+import { type LayerOrder, type PartName, readCameras, type SnergCamera, type WorldUnits } from "../data/cameras";
 import { EmbeddedFiles, type FileSource, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { loadOptional } from "../load_optional";
 import type { BenchmarkOptions, BenchmarkResult } from "../optional/benchmark";
-import { SnergVolume } from "../volume/volume";
+import { type GrowthOptions, SnergVolume } from "../volume/volume";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import { rowsOf } from "./shared_view";
 import { type OrbitLimits, View } from "./view";
@@ -35,11 +35,13 @@ export interface ViewerOptions {
   size?: { width: number; height: number };
   limits?: OrbitLimits;
   signal?: AbortSignal;
+  /** Whether something lies over the canvas, such as a poster, so that unfinished pictures need not be drawn. */
+  covered?: () => boolean;
 }
 
 export interface ViewerEvents {
   progress: LoadProgress;
-  image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
+  image: ShownImage & { coarse: boolean; whole: boolean }; // coarse: until all that the first camera sees is there; whole: the rest, too
   view: ViewerState;
   error: ViewerError;
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
@@ -130,7 +132,14 @@ class CanvasViewer implements Viewer {
   private view: View | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
-  private whole = false; // whether the scene itself is shown, and not the coarse one
+  private coarse: SnergScene | null = null; // shown first, and where the scene has not arrived
+  private layers: LayerOrder | null = null;
+  private whole = false; // whether all of the scene is there
+  private fine = false; // whether all is there that the first camera sees
+  private growing: SnergVolume | null = null;
+  private grown = false; // since the picture was begun
+  private refining = false; // whether `refine` waits for a picture
+  private losses = 0; // of the graphics context
   private flight = 0; // counts flights, so that a new one ends the one before
   private colour: Colour;
   private readonly observer = new ResizeObserver(() => this.follow());
@@ -145,7 +154,7 @@ class CanvasViewer implements Viewer {
     this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
     container.append(this.canvas);
     options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
-    this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    this.canvas.addEventListener("webglcontextlost", (event) => this.lose(event));
     this.canvas.addEventListener("webglcontextrestored", () => this.restore());
     this.canvas.addEventListener("keydown", (event) => this.press(event));
     this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
@@ -157,33 +166,94 @@ class CanvasViewer implements Viewer {
     const { signal } = this.abort;
     const source = this.options.src ? sourceOf(this.options.src) : ownFiles();
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
-    const [{ cameras, coarse, parts, units }, scene] = await Promise.all([
+    const [{ cameras, coarse, layers, parts, units }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
     this.bundle = { parts, units, read: (name, stop) => source.read(name, stop ?? signal) };
     this.scene = scene;
-    const first = coarse ? await SnergScene.load(source, { folder: "coarse/", signal }) : null;
-    if (first) await this.show(first);
-    await this.show(scene);
-    this.whole = true;
+    this.layers = layers;
+    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true });
+    await this.fill(scene);
+    this.coarse = null; // frees its texels
     await this.renderer?.settled();
   }
 
-  /** Show a scene in place of the one before, when all of it is on the card. */
-  private async show(scene: SnergScene): Promise<void> {
-    const volume = new SnergVolume(scene, { srgbTargets: true });
-    this.abort.signal.addEventListener("abort", () => volume.dispose(), { once: true }); // also while it is being read
-    await volume.load(this.webgl);
-    if (this.volume) {
-      this.world.remove(this.volume);
-      this.volume.dispose();
+  /** Show the scene: first the coarse one, then one that grows. Begins again where the graphics context is lost meanwhile. */
+  private async fill(scene: SnergScene): Promise<void> {
+    const losses = this.losses;
+    try {
+      if (this.coarse) await this.show(this.coarse);
+      const { order, seen } = this.layers ?? {};
+      await this.show(scene, { coarse: this.coarse ?? undefined, wanted: this.uncovered(), order, enough: seen });
+    } catch (error) {
+      if (losses === this.losses || this.abort.signal.aborted) throw error;
+      await this.restored();
+      return this.fill(scene);
     }
-    this.volume = volume;
-    this.world.add(volume);
-    if (this.renderer) this.renderer.change();
-    else this.begin(scene);
+    this.whole = this.fine = true;
+    this.renderer?.refine();
+  }
+
+  /** Show a scene in place of the one before, as soon as there is something of it on the card. */
+  private async show(scene: SnergScene, growth: GrowthOptions = {}): Promise<void> {
+    const volume = new SnergVolume(scene, { srgbTargets: true });
+    const dispose = () => volume.dispose();
+    this.abort.signal.addEventListener("abort", dispose, { once: true }); // also while it is being read
+    volume.addEventListener("change" as never, () => this.grow(volume));
+    this.growing = volume;
+    try {
+      await volume.load(this.webgl, growth);
+    } catch (error) {
+      this.abort.signal.removeEventListener("abort", dispose);
+      volume.dispose();
+      throw error;
+    } finally {
+      if (this.growing === volume) this.growing = null;
+    }
+  }
+
+  /** A volume looks different: bring it into the world, or the picture up to date. */
+  private grow(volume: SnergVolume): void {
+    if (this.volume !== volume) {
+      this.world.remove(...(this.volume ? [this.volume] : []));
+      this.volume?.dispose();
+      this.volume = volume;
+      this.world.add(volume);
+      if (!this.renderer) this.begin(volume.source);
+      else if (!this.coarse) this.renderer.change();
+    }
+    const seen = this.layers?.seen ?? Number.POSITIVE_INFINITY;
+    if (this.fine || volume.source !== this.scene || volume.layersArrived < seen) return void this.refine();
+    this.fine = true; // all that the first camera sees is there
+    this.renderer?.refine();
+  }
+
+  /** Resolves when nothing lies over the canvas any more. */
+  private uncovered(): Promise<void> {
+    const { covered } = this.options;
+    if (!covered?.()) return Promise.resolve();
+    return new Promise((resolve) => {
+      const stop = this.on("image", () => {
+        if (covered()) return;
+        stop();
+        resolve();
+      });
+    });
+  }
+
+  /** Bring the picture up to date, unless one is being drawn: then after it. */
+  private async refine(): Promise<void> {
+    this.grown = true;
+    if (this.refining) return;
+    this.refining = true;
+    while (this.grown && !this.whole && !this.abort.signal.aborted) {
+      await this.settled();
+      this.grown = false;
+      if (!this.options.covered?.()) this.renderer?.refine();
+    }
+    this.refining = false;
   }
 
   /** There is something to show: begin to render, and to follow the mouse. */
@@ -192,7 +262,7 @@ class CanvasViewer implements Viewer {
     const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
     this.view = view;
     this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
-      this.emit("image", { ...image, coarse: !this.whole }),
+      this.emit("image", { ...image, coarse: !this.fine, whole: this.whole }),
     );
     this.renderer.background = this.colour;
     const first = Math.max(findCamera(cameras, this.options.camera ?? null), 0);
@@ -368,13 +438,31 @@ class CanvasViewer implements Viewer {
     this.emit("scroll", undefined);
   }
 
-  /** The graphics driver was reset: bring the scene to the card again. */
+  /** The graphics driver was reset. What is on its way to the card is given up; `fill` begins again. */
+  private lose(event: Event): void {
+    event.preventDefault();
+    this.losses++;
+    this.growing?.dispose();
+    if (!this.volume || this.volume !== this.growing) return;
+    this.world.remove(this.volume);
+    this.volume = null;
+  }
+
+  /** Resolves when there is a graphics context again. */
+  private restored(): Promise<void> {
+    if (!this.webgl.getContext().isContextLost()) return Promise.resolve();
+    return new Promise((resolve) => this.canvas.addEventListener("webglcontextrestored", () => resolve(), { once: true }));
+  }
+
+  /** Bring the scene to the card again, where it was there. */
   private async restore(): Promise<void> {
-    if (!this.scene || !this.whole || !this.renderer) return this.fail(new ViewerError(LOST));
-    try {
-      await this.show(this.scene);
-    } catch {
-      return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+    if (!this.scene || !this.renderer) return;
+    if (this.whole) {
+      try {
+        await this.show(this.scene);
+      } catch {
+        return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+      }
     }
     this.renderer.restart();
   }

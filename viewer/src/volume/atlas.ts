@@ -17,7 +17,7 @@ import {
   type WebGLRenderer,
 } from "three";
 import { CELL_VOXELS, type SceneDescription } from "../data/scene";
-import { SLICE_PLANES, type SliceTexels } from "../data/slices";
+import { LAYER_SLICES, SLICE_PLANES, type SliceTexels } from "../data/slices";
 import { ViewerError } from "../errors";
 import { type AtlasLayout, atlasLayout, cellPosition } from "./atlas_layout";
 import { chebyshevDistance } from "./distance";
@@ -45,7 +45,10 @@ export class Atlas {
   readonly bytes: number; // of graphics memory that the pages take
   private readonly pages: Record<Kind, Data3DTexture[]>;
   private made: Data3DTexture[] = []; // by `textures`
+  private distances: Data3DTexture[] = [];
   private occupied: Uint8Array; // 1 where a coarse voxel is not empty, cell by cell, x fastest
+  private filled: Uint8Array | null = null; // the same for what stands in for cells that have not arrived
+  private readonly taken: Uint8Array; // 1 for each slice that was taken
 
   constructor(
     private readonly renderer: WebGLRenderer,
@@ -63,6 +66,7 @@ export class Atlas {
     this.size = this.layout.blocks.map((n) => n * CELL_VOXELS) as Triple;
     this.bytes = this.layout.pages * this.size[0] * this.size[1] * this.size[2] * 4 * this.kinds.length;
     this.occupied = new Uint8Array(scene.cells * COARSE_BYTES);
+    this.taken = new Uint8Array(scene.atlas_blocks[2] * LAYER_SLICES);
     const allocate = (kind: Kind) =>
       this.kinds.includes(kind) ? Array.from({ length: this.layout.pages }, () => this.allocatePage()) : [];
     this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
@@ -96,13 +100,60 @@ export class Atlas {
   /** Upload the texels of a slice. */
   take(slice: number, texels: SliceTexels): void {
     for (const kind of this.kinds) this.upload(kind, slice, texels[kind] as Uint8Array);
+    this.taken[slice] = 1;
   }
 
-  /** All textures, when every slice was taken. cells: of `readIndirection`. */
+  /** Whether slices of a cell are missing. */
+  lacks(cell: number): boolean {
+    return this.slicesOf(cell).some((taken) => !taken);
+  }
+
+  /** Put texels of x fastest in place of a cell's slices that were not taken yet; null: they are empty. */
+  fill(cell: number, texels: SliceTexels | null): void {
+    this.filled ??= new Uint8Array(this.occupied.length);
+    if (!texels) return; // graphics memory begins as zeros
+    const size: Triple = [CELL_VOXELS, CELL_VOXELS, CELL_VOXELS];
+    const [page, x, y, z] = cellPosition(this.layout, cell);
+    const slices = this.slicesOf(cell);
+    const [first, last] = [slices.indexOf(0), slices.lastIndexOf(0)];
+    for (const kind of this.kinds) {
+      const source = makeTexture(texels[kind] as Uint8Array, size, RGBAFormat, UnsignedByteType, LinearFilter);
+      for (let slice = first; slice <= last; slice++) {
+        if (slices[slice]) continue;
+        const begin = slice * SLICE_PLANES;
+        while (slice < last && !slices[slice + 1]) slice++;
+        const box = new Box3(new Vector3(0, 0, begin), new Vector3(CELL_VOXELS, CELL_VOXELS, (slice + 1) * SLICE_PLANES));
+        const place = new Vector3(x, y, z).multiplyScalar(CELL_VOXELS).setZ(z * CELL_VOXELS + begin);
+        this.renderer.copyTextureToTexture(source, this.pages[kind][page], box, place);
+      }
+    }
+    const words = new Uint32Array(texels.rgba.buffer, texels.rgba.byteOffset, texels.rgba.length / 4);
+    this.markOccupied(this.filled, words, 0, size, cell, 0);
+  }
+
+  /** 1 for each slice of a cell that was taken. */
+  private slicesOf(cell: number): Uint8Array {
+    const layer = Math.floor(cell / (this.scene.atlas_blocks[0] * this.scene.atlas_blocks[1]));
+    return this.taken.subarray(layer * LAYER_SLICES, (layer + 1) * LAYER_SLICES);
+  }
+
+  /** All textures, when every slice was taken, or every cell filled. cells: of `readIndirection`. */
   textures(cells: Int32Array<ArrayBuffer>): AtlasTextures {
-    const [distance, indirection] = [this.distanceTextures(), this.indirectionTexture(cells)];
-    this.made = [...distance, indirection];
-    return { ...this.pages, distance, indirection };
+    this.distances = this.distanceTextures();
+    const indirection = this.indirectionTexture(cells);
+    this.made = [...this.distances, indirection];
+    return { ...this.pages, distance: this.distances, indirection };
+  }
+
+  /** A layer of filled cells has arrived: bring their distances to the textures. Call it after `textures`. */
+  arrived(layer: number): void {
+    const [bx, by] = this.scene.atlas_blocks;
+    const size: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
+    for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
+      const source = makeTexture(this.distancesOf(cell, this.occupied), size, RedFormat, UnsignedByteType, NearestFilter);
+      const [page, x, y, z] = cellPosition(this.layout, cell);
+      this.renderer.copyTextureToTexture(source, this.distances[page], null, new Vector3(x, y, z).multiplyScalar(COARSE_PER_CELL));
+    }
   }
 
   /** Copy the part of each cell that a slice holds from the layout of the files to the one of the textures. */
@@ -116,7 +167,7 @@ export class Atlas {
     for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
       const x = (cell % bx) * CELL_VOXELS;
       const y = (Math.floor(cell / bx) % by) * CELL_VOXELS;
-      this.markOccupied(words, x + y * width, width, height, cell, z);
+      if (kind === "rgba") this.markOccupied(this.occupied, words, x + y * width, [width, height, SLICE_PLANES], cell, z);
       const [page, px, py, pz] = cellPosition(this.layout, cell);
       this.renderer.copyTextureToTexture(
         source,
@@ -127,26 +178,15 @@ export class Atlas {
     }
   }
 
-  /** Mark the coarse voxels of a cell that the nonzero texels of a slice reach. words: one a texel; start: the cell's first. */
-  private markOccupied(words: Uint32Array, start: number, width: number, height: number, cell: number, firstPlane: number): void {
-    for (let z = 0; z < SLICE_PLANES; z++) {
+  /** Mark the coarse voxels of a cell that the nonzero texels of an image reach. words: one a texel; start: the cell's first. */
+  private markOccupied(marks: Uint8Array, words: Uint32Array, start: number, image: Triple, cell: number, firstPlane: number): void {
+    const [width, height, planes] = image;
+    for (let z = 0; z < planes; z++) {
       for (let y = 0; y < CELL_VOXELS; y++) {
         const row = start + (z * height + y) * width;
         for (let x = 0; x < CELL_VOXELS; x++) {
-          if (words[row + x] !== 0) this.markCoarseVoxels(cell, x, y, firstPlane + z);
+          if (words[row + x] !== 0) markCoarseVoxels(marks, cell, x, y, firstPlane + z);
         }
-      }
-    }
-  }
-
-  /** Mark the coarse voxels in which a texel has a trilinear weight: its own, and at a border its neighbours. */
-  private markCoarseVoxels(cell: number, x: number, y: number, z: number): void {
-    const low = (i: number) => Math.max(0, (i - 1) >> 2);
-    const high = (i: number) => Math.min(COARSE_PER_CELL - 1, (i + 1) >> 2);
-    for (let cz = low(z); cz <= high(z); cz++) {
-      for (let cy = low(y); cy <= high(y); cy++) {
-        const row = cell * COARSE_BYTES + (cz * COARSE_PER_CELL + cy) * COARSE_PER_CELL;
-        for (let cx = low(x); cx <= high(x); cx++) this.occupied[row + cx] = 1;
       }
     }
   }
@@ -155,9 +195,9 @@ export class Atlas {
   private distanceTextures(): Data3DTexture[] {
     const [x, y, z] = this.layout.blocks.map((n) => n * COARSE_PER_CELL);
     const pages = Array.from({ length: this.layout.pages }, () => new Uint8Array(x * y * z));
-    const cellShape: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
+    const marks = this.filled ? this.filled.map((filled, i) => filled | this.occupied[i]) : this.occupied;
     for (let cell = 0; cell < this.scene.cells; cell++) {
-      const distances = chebyshevDistance(this.occupied.subarray(cell * COARSE_BYTES, (cell + 1) * COARSE_BYTES), cellShape);
+      const distances = this.distancesOf(cell, marks);
       const [page, px, py, pz] = cellPosition(this.layout, cell);
       for (let row = 0; row < COARSE_PER_CELL ** 2; row++) {
         const cy = py * COARSE_PER_CELL + (row % COARSE_PER_CELL);
@@ -165,8 +205,12 @@ export class Atlas {
         pages[page].set(distances.subarray(row * COARSE_PER_CELL, (row + 1) * COARSE_PER_CELL), (cz * y + cy) * x + px * COARSE_PER_CELL);
       }
     }
-    this.occupied = new Uint8Array(0);
     return pages.map((data) => makeTexture(data, [x, y, z], RedFormat, UnsignedByteType, NearestFilter));
+  }
+
+  private distancesOf(cell: number, marks: Uint8Array): Uint8Array {
+    const shape: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
+    return chebyshevDistance(marks.subarray(cell * COARSE_BYTES, (cell + 1) * COARSE_BYTES), shape);
   }
 
   /**
@@ -186,6 +230,18 @@ export class Atlas {
     const texture = makeTexture(data, this.scene.blocks, RedIntegerFormat, IntType, NearestFilter);
     texture.internalFormat = "R32I";
     return texture;
+  }
+}
+
+/** Mark the coarse voxels in which a texel has a trilinear weight: its own, and at a border its neighbours. */
+function markCoarseVoxels(marks: Uint8Array, cell: number, x: number, y: number, z: number): void {
+  const low = (i: number) => Math.max(0, (i - 1) >> 2);
+  const high = (i: number) => Math.min(COARSE_PER_CELL - 1, (i + 1) >> 2);
+  for (let cz = low(z); cz <= high(z); cz++) {
+    for (let cy = low(y); cy <= high(y); cy++) {
+      const row = cell * COARSE_BYTES + (cz * COARSE_PER_CELL + cy) * COARSE_PER_CELL;
+      for (let cx = low(x); cx <= high(x); cx++) marks[row + cx] = 1;
+    }
   }
 }
 

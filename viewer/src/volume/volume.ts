@@ -24,6 +24,7 @@ import {
   type WebGLRenderTarget,
 } from "three";
 import type { SceneDescription } from "../data/scene";
+import { LAYER_SLICES, type SliceTexels } from "../data/slices";
 import type { SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { Atlas, type AtlasTextures } from "./atlas";
@@ -32,6 +33,9 @@ import { type PicturePoint, pickDepths, pickingMaterial, unproject } from "./pic
 import { raySpacePose, raySpaceUnit, similarity, viewUniforms } from "./pose";
 import { SceneDepth } from "./scene_depth";
 import { fragmentShader, vertexShader } from "./shader";
+import { StandIn, standsIn } from "./stand_in";
+
+const FILL_TIME = 20; // milliseconds of filling after which the page may do something else
 
 export interface VolumeOptions {
   /** Whether +Y is up, as in glTF and most three.js scenes. Without it the volume keeps the axes of Blender, where +Z is up. */
@@ -40,13 +44,24 @@ export interface VolumeOptions {
   srgbTargets?: boolean;
 }
 
+export interface GrowthOptions {
+  /** The scene at a quarter of its resolution, from the same corner: it stands in for cells that have not arrived. */
+  coarse?: SnergScene;
+  /** When to begin to show it so, and not only when everything has arrived; at once without it. */
+  wanted?: Promise<unknown>;
+  /** The layers of the atlas's cells in the order in which they are read. */
+  order?: readonly number[];
+  /** After how many layers to show it so, wanted or not. */
+  enough?: number;
+}
+
 /**
  * A baked scene in a scene of three.js. It is drawn among the transparent objects, with premultiplied alpha: it stops at what was drawn
  * before, and writes the depth at which half of the light behind it is hidden. It takes any transform of rotation, translation and even
  * scale. Several volumes may stand in one scene.
  *
- * `load` reads its texels; without it the first rendering begins to. Then "change" events say that it looks different, and "error" events
- * carry what failed as `error`.
+ * `load` reads its texels; without it the first rendering begins to. Then "change" events say that it looks different (with a coarse scene
+ * several times: whenever a layer of cells has arrived), and "error" events carry what failed as `error`.
  */
 export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   readonly isSnergVolume = true;
@@ -80,13 +95,16 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   }
 
   /** Read the texels and bring them to the graphics card. Rejects with a ViewerError, which is also sent as an "error" event. */
-  load(renderer: WebGLRenderer): Promise<void> {
-    this.loading ??= this.read(renderer).catch((error: unknown) => {
+  load(renderer: WebGLRenderer, growth: GrowthOptions = {}): Promise<void> {
+    this.loading ??= this.read(renderer, growth).catch((error: unknown) => {
       this.send({ type: "error", error });
       throw error;
     });
     return this.loading;
   }
+
+  /** How many layers of cells have arrived. */
+  layersArrived = 0;
 
   /** How much graphics memory the textures take, in bytes; 0 before `load`. */
   get graphicsBytes(): number {
@@ -129,13 +147,55 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     return scene.voxel_size * scale * Math.max(depth ** 2 / (2 * near), depth / Math.min(...scene.ndc.focal));
   }
 
-  private async read(renderer: WebGLRenderer): Promise<void> {
+  private async read(renderer: WebGLRenderer, { coarse, wanted, order, enough }: GrowthOptions): Promise<void> {
     const scene = this.source.description;
-    this.atlas = new Atlas(renderer, scene);
-    const atlas = this.atlas;
-    await this.source.readSlices((slice, texels) => atlas.take(slice, texels), this.abort.signal);
-    const textures = atlas.textures(this.source.cells);
-    this.show(textures, freeUnits(renderer, textures) > 0);
+    const { signal } = this.abort;
+    const atlas = new Atlas(renderer, scene);
+    this.atlas = atlas;
+    const show = () => {
+      const textures = atlas.textures(this.source.cells);
+      this.show(textures, freeUnits(renderer, textures) > 0);
+    };
+    const missing = Array<number>(scene.atlas_blocks[2]).fill(LAYER_SLICES); // slices of each layer
+    let filled: Promise<void> | undefined;
+    const fill = () => {
+      if (filled || !coarse || !standsIn(coarse.description, scene) || this.layersArrived === missing.length) return;
+      filled = this.fill(atlas, coarse).then(show);
+      filled.catch(() => {}); // it is awaited below
+    };
+    if (wanted) wanted.then(fill);
+    else fill();
+    const take = async (slice: number, texels: SliceTexels) => {
+      await filled;
+      signal.throwIfAborted();
+      atlas.take(slice, texels);
+      const layer = Math.floor(slice / LAYER_SLICES);
+      if (--missing[layer] > 0) return;
+      this.layersArrived++;
+      if (filled) {
+        atlas.arrived(layer);
+        this.send({ type: "change" });
+      } else if (this.layersArrived === enough) fill();
+    };
+    await this.source.readSlices(take, { signal, order });
+    await filled;
+    if (!filled) show();
+  }
+
+  /** Put the coarse scene in place of the cells that have not arrived. */
+  private async fill(atlas: Atlas, coarse: SnergScene): Promise<void> {
+    const { signal } = this.abort;
+    const standIn = await StandIn.read(coarse, signal);
+    const [bx, by] = this.source.description.blocks;
+    let began = performance.now();
+    for (const [index, cell] of this.source.cells.entries()) {
+      if (cell < 0 || !atlas.lacks(cell)) continue;
+      atlas.fill(cell, standIn.texels([index % bx, Math.floor(index / bx) % by, Math.floor(index / (bx * by))]));
+      if (performance.now() - began < FILL_TIME) continue;
+      await new Promise((resolve) => setTimeout(resolve));
+      signal.throwIfAborted();
+      began = performance.now();
+    }
   }
 
   private show(textures: AtlasTextures, sceneDepth: boolean): void {
