@@ -8,11 +8,14 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.camera_files import write_transforms
+from ..core.export.annotations import annotations_json
 from ..core.export.page_settings import THUMBNAILS
 from ..core.geometry.camera_path import path_bytes
 from ..core.io.files import write_bytes
+from ..core.io.json_files import json_bytes
 from ..core.jobs.runner import start_command
 from ..core.jobs.task import Task
+from ..snerg_addon.annotation_objects import core_annotations, units_of
 from ..snerg_addon.camera_move import camera_move, may_move, remember_count, scene_box
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
@@ -58,6 +61,7 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
             write_bytes(project.camera_path, path_bytes(path))
             arguments += ["--path", str(project.camera_path), *(["--play"] if settings.web_play else [])]
     arguments += page_arguments(settings)
+    arguments += part_arguments(context.scene, project)
     if settings.codec != "scene":
         arguments += ["--codec", settings.codec]
     if settings.codec in LOSSY:
@@ -65,6 +69,21 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
     if settings.codec != "scene" and settings.half_features:
         arguments.append("--half-features")
     return [*arguments, "--single-file"] if settings.single_file else arguments
+
+
+def part_arguments(scene: bpy.types.Scene, project: Project) -> list[str]:
+    """The options for annotations, measuring and VR. Writes the annotations to the project."""
+    settings, units = scene.snerg, units_of(scene)
+    notes = core_annotations(scene) if settings.shows_annotations else ()
+    arguments = []
+    if notes:
+        write_bytes(project.annotations, json_bytes(annotations_json(notes)))
+        arguments += ["--annotations", str(project.annotations)]
+    arguments += ["--measure"] if settings.measures else []
+    arguments += ["--vr"] if settings.enters_vr else []
+    if settings.measures or settings.enters_vr:
+        arguments += ["--unit-scale", f"{units.metres:.9g}", "--unit-system", units.system]
+    return arguments
 
 
 def page_arguments(settings: Any) -> list[str]:

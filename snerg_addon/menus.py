@@ -10,6 +10,7 @@ STEPS = (
     ("snerg.add_box", "snerg.fit_box", "snerg.fit_box_to_field", "snerg.estimate", "snerg.bake", "snerg.import_scene", "snerg.add_scene"),
     ("snerg.hide_originals", "snerg.show_originals"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),
+    ("snerg.add_annotation",),
     ("snerg.export_web", "snerg.open_page", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
     ("snerg.copy_command", "snerg.import_file", "snerg.send_to_flamenco"),
 )

@@ -83,6 +83,11 @@ class Project:
         return self.folder / "camera_path.json"
 
     @property
+    def annotations(self) -> Path:
+        """The annotations of the last web page."""
+        return self.folder / "annotations.json"
+
+    @property
     def _notes(self) -> Path:
         return self.folder / "status.json"
 

@@ -372,6 +372,11 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         min=-math.pi / 2,
         max=math.pi / 2,
     )
+    shows_annotations: BoolProperty(name="Annotations", description="Show the annotations below as labels in the page", default=True)
+    measures: BoolProperty(
+        name="Measuring", description="Let people measure lengths in the page, in the units of this scene", default=False
+    )
+    enters_vr: BoolProperty(name="VR", description="Let people with a headset enter the scene, at its size in metres", default=False)
     single_file: BoolProperty(
         name="Single File",
         description="Write one .html file that opens without a web server, instead of a folder",

@@ -9,6 +9,7 @@ import bpy
 from .. import operators
 from ..operators import quit, watch
 from . import (
+    annotation_objects,
     box_gizmo,
     command,
     engine,
@@ -32,6 +33,7 @@ CLASSES = (
     *steps.CLASSES,
     *results.CLASSES,
     scene_object.SNERG_PG_object,
+    *annotation_objects.CLASSES,
     engine.SNERG_RE_engine,
     *operators.classes(),
     *panels.CLASSES,
@@ -47,6 +49,7 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.snerg = bpy.props.PointerProperty(type=properties.SNERG_PG_scene)
     bpy.types.Object.snerg = bpy.props.PointerProperty(type=scene_object.SNERG_PG_object)
+    bpy.types.Object.snerg_note = bpy.props.PointerProperty(type=annotation_objects.SNERG_PG_note)
     steps.register()
     results.register()
     menus.register()
@@ -76,6 +79,7 @@ def unregister() -> None:
     menus.unregister()
     results.unregister()
     steps.unregister()
+    del bpy.types.Object.snerg_note
     del bpy.types.Object.snerg
     del bpy.types.Scene.snerg
     for cls in reversed(CLASSES):

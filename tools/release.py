@@ -28,7 +28,10 @@ NEEDED = (
     "snerg_addon/bridge.py",
     "viewer/dist/path.js",
     "viewer/dist/viewer.js",
+    "viewer/dist/optional/annotations.js",
     "viewer/dist/optional/benchmark.js",
+    "viewer/dist/optional/measure.js",
+    "viewer/dist/optional/vr.js",
     "viewer/index.html",
     "viewer/page.css",
 )

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..artifact import Result, kind_of
 from ..data.camera_world import in_training_world, placed_path
+from ..data.load import read_dataset
 from ..data.readers.camera_files import read_cameras
 from ..data.readers.path_files import read_path
 from ..errors import SnergError
+from ..export.annotations import read_annotations, with_known_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
 from ..export.page_settings import BACKGROUNDS, PLAIN, THUMBNAILS, PageSettings
 from ..export.scene_files import codec_of, is_current
 from ..export.thumbnails import SECONDS
+from ..export.world_units import SYSTEMS, WorldUnits
 from ..io.generation import one_generation
 from ..io.lock import writes_out
 from ..progress import Note, Progress, silent
@@ -39,13 +43,15 @@ def bundle_scene(
     dataset: Path | None = None,
     page: PageSettings = PLAIN,
     path: Path | None = None,
+    annotations: Path | None = None,
 ) -> Result:
     """Write a web page that shows a scene: a folder for a static web server, or one .html when `single_file`.
 
     cameras: a transforms file whose cameras the page lists. dataset: as in `render_views`. codec: of the scene's pictures; the scene's
-    own when None. path: a camera path (see `read_path`) that the page can play; dataset goes for it, too.
+    own when None. path: a camera path (see `read_path`) that the page can play; dataset goes for it, too. annotations: a file of labels
+    (see `read_annotations`), in the same world as the cameras.
     """
-    check_out(out, "page", scene, *(file for file in (cameras, path) if file))
+    check_out(out, "page", scene, *(file for file in (cameras, path, annotations) if file))
     viewer_files()
     move = placed_path(read_path(path), path, dataset) if path else None
     listed = read_cameras(cameras) if cameras else ()
@@ -54,6 +60,8 @@ def bundle_scene(
     views = tuple(camera for camera in listed if not camera.is_wide)
     if len(views) < len(listed):
         progress(0.0, Note(f"{len(listed) - len(views)} panoramic or fisheye cameras are left out: a web page cannot draw them."))
+    if annotations:
+        page = annotated(page, annotations, [camera.name for camera in views], dataset, progress)
 
     def opened() -> tuple[Scene, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
@@ -67,6 +75,18 @@ def bundle_scene(
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **moves, **written}
 
 
+def annotated(page: PageSettings, file: Path, cameras: list[str], dataset: Path | None, progress: Progress) -> PageSettings:
+    """The page with the annotations of a file, in the world of the scene. Says which of their cameras the page does not list."""
+    found = read_annotations(file)
+    if dataset is not None:
+        to_world = read_dataset(dataset).source_to_world
+        found = tuple(annotation.moved(to_world) for annotation in found)
+    kept, missing = with_known_cameras(found, cameras)
+    if missing:
+        progress(0.0, Note(f"Annotations lead to no camera where the page does not list theirs: {', '.join(missing)}."))
+    return replace(page, annotations=kept)
+
+
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of `snerg bundle`."""
     parser.add_argument("scene", type=artifact, metavar="SCENE")
@@ -76,6 +96,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--play", action="store_true", help="play the path as soon as the scene is there")
     parser.add_argument("--thumbnails", type=natural, default=THUMBNAILS, metavar="N", help=THUMBNAILS_HELP)
     parser.add_argument("--dataset", type=artifact, metavar="CAPTURE", help="the capture in whose own world the cameras are")
+    parser.add_argument("--annotations", type=path, metavar="FILE", help="a JSON file of labels in the scene")
+    parser.add_argument("--measure", action="store_true", help="let people measure lengths in the scene")
+    parser.add_argument("--vr", action="store_true", help="let people enter the scene with a headset")
+    parser.add_argument(
+        "--unit-scale", type=float, default=1.0, metavar="METRES", help="length of a unit of the scene, as Blender's unit scale"
+    )
+    parser.add_argument("--unit-system", choices=SYSTEMS, default="metric", help="how measured lengths are told")
     parser.add_argument("--single-file", action="store_true", help="one self-contained .html that opens from the disk")
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
     parser.add_argument("--description", default="", metavar="TEXT", help="a sentence for search engines and shared links")
@@ -90,15 +117,33 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
     distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
-    page = PageSettings(
-        options.title, options.description, options.address, options.background, distance, elevation, options.play, options.thumbnails
-    )
-    codec = codec_settings(options)
     if options.play and options.path is None:
         raise SnergError("--play plays a camera path; give one with --path, or leave --play out.")
+    page = PageSettings(
+        options.title,
+        options.description,
+        options.address,
+        options.background,
+        distance,
+        elevation,
+        play=options.play,
+        thumbnails=options.thumbnails,
+        measures=options.measure,
+        vr=options.vr,
+        units=WorldUnits(options.unit_scale, options.unit_system),
+    )
     return bundle_scene(
-        options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset, page, options.path
-    )  # fmt: skip
+        options.scene,
+        options.out,
+        options.cameras,
+        options.single_file,
+        progress,
+        codec_settings(options),
+        options.dataset,
+        page,
+        options.path,
+        options.annotations,
+    )
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

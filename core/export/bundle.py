@@ -25,10 +25,11 @@ from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
+from .annotations import annotations_json
 from .cell_order import cell_order
 from .codecs import PNG, CodecSettings
 from .optional_code import FOLDER as OPTIONAL
-from .optional_code import optional_names
+from .optional_code import optional_names, page_parts
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
 from .scene_files import copy_scene_files, is_current, write_scene_files
@@ -66,7 +67,7 @@ def write_bundle(
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
-    files = viewer_files(optional_names(single_file, path is not None))
+    files = viewer_files(optional_names(single_file, page, path is not None))
     cameras = [camera for camera in cameras if not camera.is_wide]
     first = cameras[0] if cameras else path.camera_at(path.start) if path else None
     poster = poster_bytes(scene, first, page, within(progress, 0.0, POSTER_END)) if first else None
@@ -79,12 +80,14 @@ def write_bundle(
 
     def write_data(data: Path) -> None:
         """Write cameras.json, coarse/ and scene/, which the page reads."""
-        (data / "cameras.json").write_bytes(json_bytes(listed))
         for index, picture in enumerate(small):
             (data / thumbnail_name(index)).parent.mkdir(exist_ok=True)
             (data / thumbnail_name(index)).write_bytes(picture)
         if path is not None:
             (data / "path.json").write_bytes(path_bytes(path))
+        (data / "cameras.json").write_bytes(json_bytes(listed | parts_json(page)))
+        if page.annotations:
+            (data / "annotations.json").write_bytes(json_bytes(annotations_json(page.annotations)))
         if coarse:
             (data / "coarse").mkdir()
             write_scene_files(coarse_scene(scene), data / "coarse", silent, CodecSettings("webp") if codec.name in ("webp", "jxl") else PNG)
@@ -177,6 +180,13 @@ def cameras_json(cameras: Sequence[Camera], thumbnails: int = 0) -> dict[str, An
         "version": 1,
         "cameras": drawn,
     }
+
+
+def parts_json(page: PageSettings) -> dict[str, Any]:
+    """What cameras.json says about the optional code that the page loads, and about units where that code needs them."""
+    parts = page_parts(page)
+    units = {"units": page.units.to_json()} if page.measures or page.vr else {}
+    return ({"parts": list(parts)} if parts else {}) | units
 
 
 def write_single_file(files: Mapping[str, str], folder: Path, write_data: Callable[[Path], None]) -> None:

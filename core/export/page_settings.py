@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import SnergError
+from .annotations import Annotation
+from .world_units import WorldUnits
 
 BACKGROUNDS = {"white": 1.0, "grey": 128 / 255, "black": 0.0}
 
@@ -24,6 +26,10 @@ class PageSettings:
 
     play: bool = False  # whether the page's camera path plays as soon as the scene is there
     thumbnails: int = 0  # cameras at most that have a small picture in the page's list
+    annotations: tuple[Annotation, ...] = ()  # labels in the scene
+    measures: bool = False  # whether people can measure lengths
+    vr: bool = False  # whether people can enter the scene with a headset
+    units: WorldUnits = WorldUnits()  # of measured lengths, and of the size that a headset shows
 
     def __post_init__(self) -> None:
         if self.background not in BACKGROUNDS:

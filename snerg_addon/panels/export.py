@@ -6,6 +6,7 @@ from typing import Any
 
 import bpy
 
+from ..annotation_objects import notes_of
 from ..camera_move import counted, may_move
 from ..project import project_of
 from ..properties import LOSSY
@@ -35,6 +36,7 @@ class ExportStep(Step):
             column.prop(settings, "half_features")
         layout.prop(settings, "single_file")
         draw_page(layout, settings)
+        draw_annotations(layout, settings, context.scene)
         layout.operator("snerg.export_web", icon="URL")
         layout.operator("snerg.export_scene", icon="EXPORT")
         project = project_of(context.scene)
@@ -77,3 +79,20 @@ def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:
     if settings.limits_orbit:
         body.prop(settings, "orbit_distance")
         body.prop(settings, "orbit_elevation")
+    body.prop(settings, "measures")
+    body.prop(settings, "enters_vr")
+
+
+def draw_annotations(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
+    """The empties that have a text, in a part that is closed at first: each with its text and its camera."""
+    header, body = layout.panel("SNERG_annotations", default_closed=True)
+    header.prop(settings, "shows_annotations")
+    if body is None:
+        return
+    for thing in notes_of(scene):
+        column = body.column(align=True)
+        row = column.row(align=True)
+        row.prop(thing.snerg_note, "text", text="", icon="EMPTY_DATA")
+        row.operator("snerg.remove_annotation", text="", icon="X").name = thing.name
+        column.prop(thing.snerg_note, "camera", text="")
+    body.operator("snerg.add_annotation", icon="ADD")

@@ -60,7 +60,12 @@ def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, s
 def test_viewer_js_holds_no_optional_code() -> None:
     """A text of each optional module that is in no other file."""
     viewer = (VIEWER / "dist" / "viewer.js").read_text(encoding="utf-8")
-    for name, text in (("benchmark", "snerg-benchmark"),):
+    for name, text in (
+        ("benchmark", "snerg-benchmark"),
+        ("annotations", "annotations.json"),
+        ("measure", "Measured lengths"),
+        ("vr", "Enter VR"),
+    ):
         assert text in (VIEWER / "dist" / "optional" / f"{name}.js").read_text(encoding="utf-8")
         assert text not in viewer
 
@@ -138,7 +143,7 @@ def test_a_page_of_one_file_says_what_it_leaves_out(page: Page, tmp_path: Path) 
 
 def test_optional_code_inside_a_page_of_one_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the disk, under the page's own security policy, which allows each script by its hash."""
-    monkeypatch.setattr(bundle, "optional_names", lambda single_file: ("benchmark",))
+    monkeypatch.setattr(bundle, "optional_names", lambda *_: ("benchmark",))
     write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
     assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
     page.evaluate("location.hash = 'benchmark&frames=1'")

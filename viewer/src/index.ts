@@ -1,5 +1,5 @@
 // The package: a scene's loader, an object of three.js, a viewer, and an element.
-export { readCameras, type SnergCamera } from "./data/cameras";
+export { type PartName, readCameras, type SnergCamera, type WorldUnits } from "./data/cameras";
 export { ChosenFiles, EmbeddedFiles, type FileSource, type SceneFiles, ServerFiles } from "./data/files";
 export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
@@ -8,6 +8,17 @@ export type { BenchmarkOptions, BenchmarkResult } from "./optional/benchmark";
 export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./optional/path";
 export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
-export { asViewerError, createViewer, type Viewer, type ViewerEvents, type ViewerOptions, type ViewerState } from "./viewer/viewer";
+export {
+  asViewerError,
+  type Bundle,
+  createViewer,
+  type Lent,
+  type ProjectedPoint,
+  type ScenePoint,
+  type Viewer,
+  type ViewerEvents,
+  type ViewerOptions,
+  type ViewerState,
+} from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
 export { type GrowthOptions, SnergVolume, type VolumeOptions } from "./volume/volume";

@@ -5,8 +5,11 @@ import type { OptionalModules } from "./optional/modules";
 type Loaders = { [Name in keyof OptionalModules]: () => Promise<OptionalModules[Name]> };
 
 const LOADERS: Loaders = {
+  annotations: () => import("./optional/annotations"),
   benchmark: () => import("./optional/benchmark"),
   path: () => import("./optional/path"),
+  measure: () => import("./optional/measure"),
+  vr: () => import("./optional/vr"),
 };
 
 /** What the module optional/NAME.ts exports. Rejects with a ViewerError in a page that was exported without it. */

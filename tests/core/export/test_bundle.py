@@ -179,3 +179,41 @@ def test_a_page_leaves_out_panoramas_and_says_so(tmp_path):
     assert written["files"] == ["plain.png", "round.png", "fish.png"]
     fish = read_image(tmp_path / "out" / "fish.png")
     assert fish[..., 3].max() > 100 and fish[0, 0, 3] == 0
+
+
+def test_annotations_go_into_the_page(tmp_path, stored, capsys):
+    """Their cameras are those that the page lists; one that it does not list is said and dropped."""
+    camera = Camera(8, 8, (8, 8), (4, 4), looking((0, -4, 0), (0, 0, 0)), name="Front")
+    write_transforms(tmp_path / "cameras.json", [camera], ["Front"])
+    notes = [
+        {"text": "Window", "position": [1, 2, 3], "camera": "Front"},
+        {"text": "Door", "position": [0, 0, 0.5], "camera": "Gone"},
+    ]
+    (tmp_path / "notes.json").write_text(json.dumps({"annotations": notes}))
+    files = ["--out", str(tmp_path / "web"), "--cameras", str(tmp_path / "cameras.json"), "--annotations", str(tmp_path / "notes.json")]
+    assert main(["bundle", str(stored), *files, "--measure", "--unit-scale", "0.01", "--unit-system", "imperial"]) == 0
+    assert "where the page does not list theirs: Gone." in "".join(capsys.readouterr())
+    listed = json.loads((tmp_path / "web" / "cameras.json").read_text())
+    assert listed["parts"] == ["annotations", "measure"] and listed["units"] == {"metres": 0.01, "system": "imperial"}
+    written = json.loads((tmp_path / "web" / "annotations.json").read_text())["annotations"]
+    assert written == [notes[0], {"text": "Door", "position": [0, 0, 0.5]}]
+    assert {path.name for path in (tmp_path / "web" / "optional").iterdir()} == {"annotations.js", "benchmark.js", "measure.js"}
+
+
+@pytest.mark.parametrize(
+    ("notes", "says"),
+    [
+        ({"annotations": "none"}, "must be a list"),
+        ({"annotations": [{"text": "x", "position": [1, 2]}]}, "the position of annotation 1 must be three numbers"),
+        ({"annotations": [{"text": "x", "position": [1, 2, None]}]}, "the position of annotation 1 is None"),
+        ({"annotations": [{"text": 4, "position": [1, 2, 3]}]}, "the text of annotation 1 is 4"),
+        ({"annotations": [{"text": " ", "position": [1, 2, 3]}]}, "has no text"),
+        ({"annotations": [{"text": "x" * 501, "position": [1, 2, 3]}]}, "a label holds 500"),
+        ([], "it is \\[\\]; it must be an object"),
+    ],
+)
+def test_annotations_that_cannot_be_used(tmp_path, stored, notes, says):
+    (tmp_path / "notes.json").write_text(json.dumps(notes))
+    with pytest.raises(SnergError, match=says):
+        bundle_scene(stored, tmp_path / "web", annotations=tmp_path / "notes.json")
+    assert not (tmp_path / "web").exists()

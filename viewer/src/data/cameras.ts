@@ -21,6 +21,17 @@ export interface SnergCamera {
   cameraToWorld: Matrix4; // rigid; x right, y up, the camera looks along -z
 }
 
+/** The optional code that a page loads by itself. */
+export type PartName = "annotations" | "measure" | "vr";
+const PARTS: readonly PartName[] = ["annotations", "measure", "vr"];
+const SYSTEMS = ["metric", "imperial", "none"] as const;
+
+/** What a unit of the scene is, and in which system lengths are told. */
+export interface WorldUnits {
+  metres: number; // of a unit
+  system: (typeof SYSTEMS)[number]; // none: in units of the scene
+}
+
 /** The layers of the atlas in the order of their importance to the first camera, of which the first `seen` hold all that it sees. */
 export interface LayerOrder {
   order: number[];
@@ -32,6 +43,8 @@ export interface CameraList {
   cameras: SnergCamera[];
   coarse: boolean; // whether the bundle also has the scene at a quarter of its resolution, in coarse/
   path: boolean; // whether it has a camera path, in path.json
+  parts: PartName[];
+  units: WorldUnits;
   layers: LayerOrder | null; // what the scene's cells are read by; null where it does not matter
 }
 
@@ -46,8 +59,18 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
     name: typeof camera.name === "string" && camera.name ? camera.name : `Camera ${i + 1}`,
     cameraToWorld: matrixOfRows(camera.camera_to_world),
   }));
+  const parts = PARTS.filter((part) => Array.isArray(value.parts) && value.parts.includes(part));
   const layers = isLayerOrder(value.layers) ? value.layers : null;
-  return { cameras, coarse: value.coarse === true, path: value.path === true, layers };
+  return { cameras, coarse: value.coarse === true, path: value.path === true, layers, parts, units: unitsOf(value.units) };
+}
+
+/** Units as a file gives them; metres where they are missing or damaged. */
+function unitsOf(value: unknown): WorldUnits {
+  const { metres, system } = (value ?? {}) as Partial<WorldUnits>;
+  return {
+    metres: typeof metres === "number" && metres > 0 && Number.isFinite(metres) ? metres : 1,
+    system: SYSTEMS.find((each) => each === system) ?? "metric",
+  };
 }
 
 function isLayerOrder(value: unknown): value is LayerOrder {

@@ -3,6 +3,9 @@
 //
 // To add one: write NAME.ts here, and name it below and in ../load_optional.ts. core/export/optional_code.py says which pages have it.
 export interface OptionalModules {
+  annotations: typeof import("./annotations");
   benchmark: typeof import("./benchmark");
   path: typeof import("./path");
+  measure: typeof import("./measure");
+  vr: typeof import("./vr");
 }

@@ -10,6 +10,7 @@ import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
 
 const HINT_SHOWN = 1500; // milliseconds
+const FLIGHT = 1.2; // seconds to the camera of an annotation
 
 /**
  * Shows the scene of a bundle. Attributes, which are read when it is put into the page:
@@ -36,6 +37,7 @@ export class SnergViewerElement extends HTMLElement {
   /** The bar and what it can do; null until there is a picture. */
   bar: Bar | null = null;
   private pathBar: PathBar | null = null;
+  private leaving = new AbortController(); // tells the optional code that the viewer is closed
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -48,6 +50,7 @@ export class SnergViewerElement extends HTMLElement {
 
   connectedCallback(): void {
     if (this.viewer) return;
+    this.leaving = new AbortController();
     this.root.innerHTML = template;
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(style);
@@ -63,6 +66,7 @@ export class SnergViewerElement extends HTMLElement {
   }
 
   disconnectedCallback(): void {
+    this.leaving.abort();
     this.viewer?.destroy();
     this.viewer = null;
     this.bar = null;
@@ -151,6 +155,7 @@ export class SnergViewerElement extends HTMLElement {
       this.bar.setBackground(background);
       this.find("bar").hidden = this.getAttribute("ui") === "none";
       void this.addPathBar(viewer);
+      this.addParts(viewer);
       this.dispatchEvent(new CustomEvent("picture"));
     });
     viewer.on("view", () => {
@@ -183,6 +188,18 @@ export class SnergViewerElement extends HTMLElement {
     bar.hidden = this.getAttribute("ui") === "none";
     viewer.on("path", () => bar.update());
     this.pathBar = bar;
+  }
+
+  /** Load the optional code that the bundle calls for. Without a part the scene is still shown; what is missing is said. */
+  private addParts(viewer: Viewer): void {
+    const host = { viewer, root: this.root, stage: this.find("stage"), choose: (name: string) => this.choose(name, FLIGHT) };
+    for (const name of viewer.bundle?.parts ?? []) {
+      const added = loadOptional(name).then(({ attach }) => attach({ ...host, signal: this.leaving.signal }));
+      added.catch((error: unknown) => {
+        this.find("hint").textContent = asViewerError(error).message;
+        this.find("hint").hidden = false;
+      });
+    }
   }
 
   private fixedSize(): { width: number; height: number } | undefined {

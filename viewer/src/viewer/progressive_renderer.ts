@@ -61,6 +61,7 @@ export class ProgressiveRenderer {
   private waiting: (() => void)[] = []; // resolve functions of `settled`
   private scheduled = false;
   private stopped = false;
+  private paused = false;
 
   /** onImage: called when a draft or a full image is on the page. The camera's projection holds for an image of any size. */
   constructor(
@@ -112,6 +113,12 @@ export class ProgressiveRenderer {
     this.change();
   }
 
+  /** Leave the canvas to somebody else, or take it back and render anew. */
+  pause(paused: boolean): void {
+    this.paused = paused;
+    if (!paused) this.restart();
+  }
+
   dispose(): void {
     this.stopped = true;
     this.draft.dispose();
@@ -150,7 +157,7 @@ export class ProgressiveRenderer {
 
   /** Do what is due next: wait for the card, begin a changed view, render the next band, or tell who waits in `settled`. */
   private tick(): void {
-    if (this.stopped || !this.image.x || this.gl.isContextLost()) return;
+    if (this.stopped || this.paused || !this.image.x || this.gl.isContextLost()) return;
     if (this.sync && !this.finished(this.sync)) return this.schedule(2);
     if (this.changed) return this.begin();
     if (this.rows < this.image.y) {

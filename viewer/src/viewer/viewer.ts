@@ -1,6 +1,6 @@
 // A viewer in any element of a page: a canvas with a scene, its cameras, and the controls that move between them. It draws no buttons.
 import { Matrix4, Quaternion, Scene, Vector3, WebGLRenderer } from "three";
-import { type LayerOrder, readCameras, type SnergCamera } from "../data/cameras";
+import { type LayerOrder, type PartName, readCameras, type SnergCamera, type WorldUnits } from "../data/cameras";
 import { EmbeddedFiles, type FileSource, readJson, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
@@ -67,6 +67,8 @@ export interface Viewer {
   readonly cameras: readonly SnergCamera[];
   readonly state: ViewerState;
   readonly canvas: HTMLCanvasElement;
+  /** What else the bundle holds; null until there is a picture. */
+  readonly bundle: Bundle | null;
   background: Colour;
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
@@ -86,10 +88,45 @@ export interface Viewer {
   settled(): Promise<void>;
   /** The picture as a PNG. alpha: without the background. */
   capture(options?: { width?: number; height?: number; alpha?: boolean }): Promise<Blob>;
+  /**
+   * The points of the scene that are seen at places of the canvas, [x, y] in CSS pixels from its top left corner: where half of the light
+   * is gone, in Blender's axes; null where more comes through.
+   */
+  pick(places: readonly [number, number][]): (ScenePoint | null)[];
+  /** Where a point of the scene lies in the view. */
+  project(point: readonly number[]): ProjectedPoint;
   fullscreen(): Promise<void>;
+  /** For optional code: leave the canvas and the volume to somebody else until `release` is called; null until the scene is there. */
+  lend(): Lent | null;
   /** Measure the frames a second on the paper's orbit. Rejects with the signal's reason. */
   benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult>;
   destroy(): void;
+}
+
+/** What a bundle holds beside the scene and its cameras, and its files by their paths. */
+export interface Bundle extends FileSource {
+  parts: readonly PartName[]; // optional code that its page shows
+  units: WorldUnits;
+}
+
+/** What draws a viewer. */
+export interface Lent {
+  renderer: WebGLRenderer;
+  volume: SnergVolume; // in Blender's axes and units
+  release(): void;
+}
+
+/** A point that is seen. */
+export interface ScenePoint {
+  position: [number, number, number]; // in Blender's axes
+  depth: number; // from the camera, along its view axis
+  voxel: number; // the longest edge of a voxel there: how exact the point is
+}
+
+export interface ProjectedPoint {
+  x: number; // CSS pixels of the canvas
+  y: number;
+  depth: number; // from the camera, along its view axis, in units of the scene; what is not above 0 is behind it
 }
 
 /** Show a scene in a container, which needs a size of its own. Throws a ViewerError when the browser has no WebGL 2. */
@@ -99,6 +136,7 @@ class CanvasViewer implements Viewer {
   readonly canvas: HTMLCanvasElement;
   readonly ready: Promise<void>;
   cameras: readonly SnergCamera[] = [];
+  bundle: Bundle | null = null;
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
@@ -146,11 +184,12 @@ class CanvasViewer implements Viewer {
     const { signal } = this.abort;
     const { source } = this;
     const onProgress = (progress: LoadProgress) => this.emit("progress", progress);
-    const [{ cameras, coarse, path, layers }, scene] = await Promise.all([
+    const [{ cameras, coarse, path, layers, parts, units }, scene] = await Promise.all([
       readCameras(source, "cameras.json", signal),
       SnergScene.load(source, { folder: "scene/", onProgress, signal }),
     ]);
     this.cameras = cameras;
+    this.bundle = { parts, units, read: (name, stop) => source.read(name, stop ?? signal) };
     this.scene = scene;
     if (path) this.makePlayer = await readPath(source, signal);
     this.layers = layers;
@@ -383,9 +422,45 @@ class CanvasViewer implements Viewer {
     return canvas.convertToBlob({ type: "image/png" });
   }
 
+  pick(places: readonly [number, number][]): (ScenePoint | null)[] {
+    const { view, volume } = this;
+    if (!view || !volume) return places.map(() => null);
+    const { clientWidth, clientHeight } = this.canvas;
+    const points = places.map(([x, y]) => [(2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight] as const);
+    return volume.pick(this.webgl, view.rendered, points).map((point) => {
+      if (!point) return null;
+      const { depth } = this.project(point.toArray());
+      return { position: point.toArray(), depth, voxel: volume.voxelAt(point) };
+    });
+  }
+
+  project(point: readonly number[]): ProjectedPoint {
+    const camera = this.view?.rendered;
+    if (!camera) return { x: 0, y: 0, depth: 0 };
+    camera.updateMatrixWorld();
+    const seen = new Vector3(...point).applyMatrix4(camera.matrixWorldInverse);
+    const depth = -seen.z;
+    const { x, y } = seen.applyMatrix4(camera.projectionMatrix);
+    const { clientWidth, clientHeight } = this.canvas;
+    return { x: ((x + 1) / 2) * clientWidth, y: ((1 - y) / 2) * clientHeight, depth };
+  }
+
   async fullscreen(): Promise<void> {
     if (document.fullscreenElement) return document.exitFullscreen();
     await this.container.requestFullscreen();
+  }
+
+  lend(): Lent | null {
+    const { renderer, volume } = this;
+    if (!renderer || !volume || !this.whole) return null;
+    this.flight++;
+    renderer.pause(true);
+    const release = () => {
+      this.world.add(volume);
+      renderer.pause(false);
+      this.follow();
+    };
+    return { renderer: this.webgl, volume, release };
   }
 
   async benchmark(options?: BenchmarkOptions): Promise<BenchmarkResult> {

@@ -37,7 +37,8 @@ export class SceneDepth {
   copy(): DepthTexture | null {
     const gl = this.renderer.getContext() as WebGL2RenderingContext;
     const target = this.renderer.getRenderTarget();
-    if (target ? !target.depthBuffer : !gl.getContextAttributes()?.depth) return null;
+    const screen = !target || (target as { isXRRenderTarget?: boolean }).isXRRenderTarget; // a headset's buffers are like the canvas's
+    if (screen ? !gl.getContextAttributes()?.depth : !target.depthBuffer) return null;
     const [width, height] = target ? [target.width, target.height] : [gl.drawingBufferWidth, gl.drawingBufferHeight];
     const key = `${target ? (target.texture.id ?? 0) : "canvas"} ${width} ${height}`;
     let copied = this.copies.get(key);

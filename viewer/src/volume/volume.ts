@@ -2,6 +2,7 @@
 import {
   AlwaysDepth,
   BackSide,
+  Box3,
   BoxGeometry,
   type BufferGeometry,
   type Camera,
@@ -13,12 +14,14 @@ import {
   Mesh,
   OneFactor,
   OneMinusSrcAlphaFactor,
+  type PerspectiveCamera,
   RawShaderMaterial,
   Sphere,
   Vector2,
   Vector3,
   Vector4,
   type WebGLRenderer,
+  type WebGLRenderTarget,
 } from "three";
 import type { SceneDescription } from "../data/scene";
 import { LAYER_SLICES, type SliceTexels } from "../data/slices";
@@ -26,6 +29,7 @@ import type { SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { Atlas, type AtlasTextures } from "./atlas";
 import { coveringTriangle } from "./full_screen";
+import { type PicturePoint, pickDepths, pickingMaterial, unproject } from "./picking";
 import { raySpacePose, raySpaceUnit, similarity, viewUniforms } from "./pose";
 import { SceneDepth } from "./scene_depth";
 import { fragmentShader, vertexShader } from "./shader";
@@ -68,6 +72,8 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private atlas: Atlas | null = null;
   private readonly abort = new AbortController();
   private uneven = false;
+  private picker: RawShaderMaterial | null = null; // null until it is loaded
+  private depthScale = { unit: 1, moved: 0 }; // of the view that was drawn last, see `ViewUniforms`
 
   constructor(
     readonly source: SnergScene,
@@ -78,7 +84,13 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     this.content = options.yUp ? new Matrix4().makeRotationX(-Math.PI / 2) : new Matrix4();
     this.frustumCulled = !source.description.ndc;
     const { center, radius } = sphereOf(source.description);
+    const unit = raySpaceUnit(source.description);
     this.geometry.boundingSphere = new Sphere(center.applyMatrix4(this.content), radius);
+    this.geometry.boundingBox = source.description.ndc
+      ? this.geometry.boundingSphere.getBoundingBox(new Box3())
+      : new Box3(new Vector3(), new Vector3(...source.description.shape))
+          .applyMatrix4(new Matrix4().makeScale(unit, unit, unit))
+          .applyMatrix4(this.content.clone().multiply(raySpacePose(source.description)));
     this.geometry.setDrawRange(0, 0); // until it is loaded
   }
 
@@ -105,6 +117,34 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     this.atlas?.dispose();
     this.geometry.dispose();
     this.material.dispose();
+    this.picker?.dispose();
+  }
+
+  /**
+   * Where rays through points of a camera's picture have lost half of their light, in the world; null where a ray keeps more. Other objects
+   * do not stop them. Wants a volume that is loaded, and all matrices up to date.
+   */
+  pick(renderer: WebGLRenderer, camera: Camera, points: readonly PicturePoint[]): (Vector3 | null)[] {
+    if (!this.picker || !points.length) return points.map(() => null);
+    const { material } = this;
+    this.material = this.picker;
+    const depths = pickDepths(renderer, this, camera, points);
+    this.material = material;
+    const { unit, moved } = this.depthScale;
+    return points.map((point, i) => (depths[i] > 0 ? unproject(camera, point, (depths[i] + moved) * unit) : null));
+  }
+
+  /** Nothing: its triangles are not where it is seen. `pick` finds what is seen. */
+  override raycast(): void {}
+
+  /** The longest edge of a voxel at a point of the world, in units of the world: how finely the scene is resolved there. */
+  voxelAt(point: Vector3): number {
+    const scene = this.source.description;
+    const scale = this.matrixWorld.getMaxScaleOnAxis();
+    if (!scene.ndc) return scene.voxel_size * scale;
+    const toFrame = this.matrixWorld.clone().multiply(this.content).multiply(raySpacePose(scene)).invert();
+    const [near, depth] = [scene.ndc.near, Math.max(-point.clone().applyMatrix4(toFrame).z, scene.ndc.near)];
+    return scene.voxel_size * scale * Math.max(depth ** 2 / (2 * near), depth / Math.min(...scene.ndc.focal));
   }
 
   private async read(renderer: WebGLRenderer, { coarse, wanted, order, enough }: GrowthOptions): Promise<void> {
@@ -168,6 +208,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     uniforms.indirection = { value: textures.indirection };
     const shader = (depth: boolean) => fragmentShader(this.source.description, textures.distance.length, depth);
     this.shaders = [shader(false), shader(sceneDepth)];
+    this.picker = pickingMaterial(this.material, fragmentShader(this.source.description, textures.distance.length, false, true));
     this.geometry.setDrawRange(0, Number.POSITIVE_INFINITY);
     this.send({ type: "change" });
   }
@@ -178,13 +219,22 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     if (!this.shaders) return;
     const standing = similarity(this.matrixWorld.clone().multiply(this.content));
     if (!standing) return this.refuse();
+    this.uneven = false;
     const { uniforms } = this.material;
-    const drawn = this.shaders[0] === this.shaders[1] ? null : SceneDepth.of(renderer).copy();
-    this.useShader(this.shaders[drawn ? 1 : 0], drawn !== null);
+    if (this.material !== this.picker) {
+      const drawn = this.shaders[0] === this.shaders[1] ? null : SceneDepth.of(renderer).copy();
+      this.useShader(this.shaders[drawn ? 1 : 0], drawn !== null);
+      uniforms.sceneDepth.value = drawn;
+    }
     uniforms.gridShape.value.set(...this.source.description.shape);
-    uniforms.sceneDepth.value = drawn;
-    const reversed = (renderer as WebGLRenderer & { reversedDepthBuffer?: boolean }).reversedDepthBuffer === true;
-    const view = viewUniforms(this.source.description, standing, camera, renderer.getCurrentViewport(new Vector4()), reversed);
+    const view = viewUniforms(
+      this.source.description,
+      standing,
+      camera,
+      renderer.getCurrentViewport(new Vector4()),
+      reverseDepth(renderer, camera),
+    );
+    this.depthScale = view;
     uniforms.focal.value.set(...view.focal);
     uniforms.principalPoint.value.set(...view.principalPoint);
     uniforms.viewport.value.set(...view.viewport);
@@ -195,10 +245,19 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     uniforms.nearDistance.value = view.nearDistance;
     uniforms.clipPlanes.value.set(...view.clipPlanes);
     uniforms.depthTerms.value.copy(view.depthTerms);
+    const logarithmic = renderer.capabilities.logarithmicDepthBuffer && !view.orthographic;
+    uniforms.logDepth.value.set(...(logarithmic ? [view.unit, 1 / Math.log2((camera as PerspectiveCamera).far + 1)] : [0, 0]));
     uniforms.clipFromGrid.value.copy(view.clipFromGrid);
-    uniforms.linearOutput.value = renderer.getRenderTarget() ? !this.srgbTargets : renderer.outputColorSpace === LinearSRGBColorSpace;
+    uniforms.linearOutput.value = this.drawsLinear(renderer);
     this.material.uniformsNeedUpdate = true;
   };
+
+  /** Whether what is drawn to holds linear colours. A headset's picture is one like the canvas. */
+  private drawsLinear(renderer: WebGLRenderer): boolean {
+    const target = renderer.getRenderTarget() as (WebGLRenderTarget & { isXRRenderTarget?: boolean }) | null;
+    const screen = target === null || target.isXRRenderTarget === true;
+    return screen ? renderer.outputColorSpace === LinearSRGBColorSpace : !this.srgbTargets;
+  }
 
   /** Take the shader with or without what is drawn already. */
   private useShader(shader: string, sceneDepth: boolean): void {
@@ -221,6 +280,18 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private send(event: { type: string; error?: unknown }): void {
     this.dispatchEvent(event as never);
   }
+}
+
+/** Whether the depth buffer is reversed. three.js turns the camera's projection over with the first ordinary mesh that it draws, which may come later. */
+function reverseDepth(renderer: WebGLRenderer, camera: Camera): boolean {
+  const depth = renderer.state.buffers.depth as typeof renderer.state.buffers.depth & { getReversed?(): boolean };
+  if (!depth.getReversed?.()) return false;
+  const reversible = camera as PerspectiveCamera & { _reversedDepth?: boolean };
+  if (reversible._reversedDepth === false) {
+    reversible._reversedDepth = true;
+    reversible.updateProjectionMatrix?.();
+  }
+  return true;
 }
 
 /** How many texture units are left beside the scene's own. */
@@ -260,6 +331,7 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     linearOutput: { value: false },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
+    logDepth: { value: new Vector2() },
     clipFromGrid: { value: new Matrix4() },
   };
   return new RawShaderMaterial({
