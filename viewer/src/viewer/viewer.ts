@@ -8,17 +8,11 @@ import { ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import { rowsOf } from "./shared_view";
-import { type OrbitLimits, View } from "./view";
+import { type Mode, Navigation } from "./navigation";
+import type { OrbitLimits } from "./rig";
+import { View } from "./view";
 
 const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
-const KEY_TURN = Math.PI / 36; // radians a key press
-const TURNS: ReadonlyMap<string, [number, number]> = new Map([
-  ["ArrowLeft", [-1, 0]],
-  ["ArrowRight", [1, 0]],
-  ["ArrowUp", [0, 1]],
-  ["ArrowDown", [0, -1]],
-]);
-const KEY_APPROACH = 1.1; // a key press
 const NO_WEBGL =
   "This browser offers no WebGL 2, which renders the scene. Switch on graphics acceleration in its settings, or use a newer browser.";
 const LOST = "The graphics driver was reset and the scene was lost from its memory. Reload the page.";
@@ -40,6 +34,8 @@ export interface ViewerEvents {
   image: ShownImage & { coarse: boolean }; // coarse: of the scene at a quarter of its resolution, until the whole has arrived
   view: ViewerState;
   error: ViewerError;
+  mode: Mode;
+  said: string; // something that the page should say in words, as the speed of a flight
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
 }
 
@@ -48,6 +44,7 @@ export interface ViewerState {
   atCamera: boolean; // whether the view is still that camera's own
   cameraToWorld: number[][]; // of the view: four rows, Blender's axes
   zoom: number; // of an orthographic camera, from its own
+  mode: Mode;
   frame: [number, number, number, number]; // where the camera's image lies: left, top, width, height in CSS pixels
 }
 
@@ -63,8 +60,14 @@ export interface Viewer {
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
   /** Look from a pose, camera-to-world in four rows, with the lens of the camera that is shown. zoom: of an orthographic camera. */
   lookFrom(cameraToWorld: number[][], zoom?: number): void;
-  /** Turn the orbit, by radians. */
+  /** How hands and keys move the camera. */
+  mode: Mode;
+  /** Turn by radians: an orbit around its pivot, otherwise the camera where it is. */
   turn(right: number, up: number): void;
+  /** Fly or walk on until all are 0: to the right, up and forward, each from -1 to 1. Does nothing in an orbit. */
+  drive(right: number, up: number, forward: number): void;
+  /** Take a key that was pressed; returns whether it means something. */
+  press(event: KeyboardEvent): boolean;
   /** Resolves when the page shows the full image of the view. */
   settled(): Promise<void>;
   /** The picture as a PNG. alpha: without the background. */
@@ -86,6 +89,7 @@ class CanvasViewer implements Viewer {
   private readonly listeners = new Map<string, Set<(event: never) => void>>();
   private renderer: ProgressiveRenderer | null = null;
   private view: View | null = null;
+  private navigation: Navigation | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
   private whole = false; // whether the scene itself is shown, and not the coarse one
@@ -105,7 +109,7 @@ class CanvasViewer implements Viewer {
     options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => this.restore());
-    this.canvas.addEventListener("keydown", (event) => this.press(event));
+    this.canvas.addEventListener("keydown", (event) => this.press(event) && event.preventDefault());
     this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
     this.ready = this.load();
     this.ready.catch((error: unknown) => this.fail(error));
@@ -146,8 +150,14 @@ class CanvasViewer implements Viewer {
   /** There is something to show: begin to render, and to follow the mouse. */
   private begin(scene: SnergScene): void {
     const { cameras } = this;
-    const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
+    const view = new View(scene.description, () => this.viewChanged(), this.options.limits);
     this.view = view;
+    this.navigation = new Navigation(view, this.canvas, {
+      started: () => this.flight++,
+      mode: (mode) => this.emit("mode", mode),
+      said: (text) => this.emit("said", text),
+      pick: (at) => this.pointAt(at),
+    });
     this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
       this.emit("image", { ...image, coarse: !this.whole }),
     );
@@ -171,12 +181,13 @@ class CanvasViewer implements Viewer {
 
   get state(): ViewerState {
     const { view } = this;
-    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0] };
+    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, mode: this.mode, frame: [0, 0, 0, 0] };
     return {
       camera: view.camera.name,
       atCamera: view.atCamera && !view.shared,
       cameraToWorld: rowsOf(view.pose()),
       zoom: view.zoom,
+      mode: this.mode,
       frame: view.frame,
     };
   }
@@ -215,13 +226,30 @@ class CanvasViewer implements Viewer {
     this.view?.lookFrom(matrixOfRows(cameraToWorld), zoom);
   }
 
-  turn(right: number, up: number): void {
-    this.flight++;
-    this.view?.turn(right, up);
+  get mode(): Mode {
+    return this.navigation?.mode ?? "orbit";
   }
 
-  settled(): Promise<void> {
-    return this.renderer ? this.renderer.settled() : this.ready;
+  set mode(mode: Mode) {
+    if (this.navigation) this.navigation.mode = mode;
+  }
+
+  turn(right: number, up: number): void {
+    this.navigation?.turn(right, up);
+  }
+
+  drive(right: number, up: number, forward: number): void {
+    this.navigation?.drive(right, up, forward);
+  }
+
+  press(event: KeyboardEvent): boolean {
+    return this.navigation?.press(event) ?? false;
+  }
+
+  async settled(): Promise<void> {
+    if (!this.renderer) return this.ready;
+    await this.navigation?.rested();
+    await this.renderer.settled();
   }
 
   async capture({ width, height, alpha = false }: { width?: number; height?: number; alpha?: boolean } = {}): Promise<Blob> {
@@ -247,7 +275,7 @@ class CanvasViewer implements Viewer {
     this.abort.abort(new ViewerError("The viewer was closed."));
     this.observer.disconnect();
     this.renderer?.dispose();
-    this.view?.controls.dispose();
+    this.navigation?.dispose();
     this.webgl.dispose();
     this.canvas.remove();
   }
@@ -267,13 +295,10 @@ class CanvasViewer implements Viewer {
     this.emit("view", this.state);
   }
 
-  private press(event: KeyboardEvent): void {
-    const turn = TURNS.get(event.key);
-    const nearer = event.key === "+" || event.key === "=";
-    if (event.ctrlKey || event.metaKey || event.altKey || (!turn && !nearer && event.key !== "-")) return;
-    if (turn) this.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
-    else this.view?.approach(nearer ? KEY_APPROACH : 1 / KEY_APPROACH);
-    event.preventDefault();
+  /** The point of the scene that is seen at a place of the canvas, in CSS pixels. */
+  private pointAt(at: readonly [number, number]): Vector3 | null {
+    const [found] = this.pick([[...at]]);
+    return found ? new Vector3(...found.position) : null;
   }
 
   /** Inside the frame of another page the wheel scrolls that page, and zooms with Ctrl alone. */
