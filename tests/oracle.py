@@ -52,6 +52,23 @@ def dense_march(scene: Scene, camera: Camera, per_sample_network: bool = False) 
     return Truth(colour.reshape(h, w, 3), transmittance.reshape(h, w), depth.reshape(h, w), values.reshape(h, w, -1))
 
 
+def halfway_depth(scene: Scene, camera: Camera, ends: np.ndarray | None = None) -> np.ndarray:
+    """Depth along the view axis [H, W] of the first sample behind which less than half of the light is left; infinite where more is.
+
+    ends: [H, W] depths at which rays end, in place of the camera's far plane.
+    """
+    origins, directions = camera.rays()
+    cosines = directions @ -camera.camera_to_world[:3, 2]
+    near = np.maximum(scene.near, camera.near / cosines)
+    far = (np.full(len(origins), camera.far) if ends is None else ends.reshape(-1)) / cosines
+    reached = dense_rays(scene, origins, directions, near, far=far, until=0.5)[2]
+    if scene.ndc is not None:
+        found = np.flatnonzero(np.isfinite(reached))
+        near = np.broadcast_to(near, reached.shape)
+        reached[found] = world_depth(scene.ndc, origins[found], directions[found], reached[found], near[found])
+    return (reached * cosines).reshape(camera.height, camera.width)
+
+
 def dense_rays(
     scene: Scene,
     origins: np.ndarray,
@@ -59,8 +76,12 @@ def dense_rays(
     near: float | np.ndarray,
     per_sample_network: bool = False,
     far: float | np.ndarray = np.inf,
+    until: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """March rays of the world: premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N], in the grid's units."""
+    """March rays of the world: premultiplied values [N, C - 1], transmittance [N] and depth times opacity [N], in the grid's units.
+
+    until: rays end behind the sample that leaves less than this of the light; the third array then holds its distance, or infinity.
+    """
     begins, ends = near, far
     views = directions @ scene.view_rotation.T
     if scene.ndc is not None:
@@ -79,11 +100,13 @@ def dense_rays(
     leaves = np.minimum(leaves, ends / scene.voxel_size)
     start = np.maximum(enters, begins / scene.voxel_size)
     values = np.zeros((len(origin), scene.cells.shape[-1] - 1))
-    transmittance, depth = np.ones(len(origin)), np.zeros(len(origin))
+    transmittance, depth, last_sample = np.ones(len(origin)), np.zeros(len(origin)), np.zeros(len(origin))
     k = 0
     while True:
         t = start + 0.5 + k
-        live = np.flatnonzero(t < leaves)
+        live = np.flatnonzero((t < leaves) & (transmittance >= (until or 0)))
+        if not len(live) and until is not None:
+            return values, transmittance, np.where(transmittance < until, last_sample, np.inf)
         if not len(live):
             return correct_opacity(values, transmittance, depth) if scene.opacity_correction else (values, transmittance, depth)
         sample = trilinear(scene, origin[live] + t[live, None] * direction[live])
@@ -94,6 +117,7 @@ def dense_rays(
         values[live] += transmittance[live, None] * sample[:, :-1]
         depth[live] += transmittance[live] * sample[:, -1] * t[live] * scene.voxel_size
         transmittance[live] *= 1 - sample[:, -1]
+        last_sample[live] = t[live] * scene.voxel_size
         k += 1
 
 

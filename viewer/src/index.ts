@@ -6,6 +6,15 @@ export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_sc
 export { ViewerError } from "./errors";
 export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
-export { asViewerError, createViewer, type Viewer, type ViewerEvents, type ViewerOptions, type ViewerState } from "./viewer/viewer";
+export {
+  asViewerError,
+  createViewer,
+  type ProjectedPoint,
+  type ScenePoint,
+  type Viewer,
+  type ViewerEvents,
+  type ViewerOptions,
+  type ViewerState,
+} from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
 export { SnergVolume, type VolumeOptions } from "./volume/volume";

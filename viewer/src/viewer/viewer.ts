@@ -72,8 +72,28 @@ export interface Viewer {
   settled(): Promise<void>;
   /** The picture as a PNG. alpha: without the background. */
   capture(options?: { width?: number; height?: number; alpha?: boolean }): Promise<Blob>;
+  /**
+   * The points of the scene that are seen at places of the canvas, [x, y] in CSS pixels from its top left corner: where half of the light
+   * is gone, in Blender's axes; null where more comes through.
+   */
+  pick(places: readonly [number, number][]): (ScenePoint | null)[];
+  /** Where a point of the scene lies in the view. */
+  project(point: readonly number[]): ProjectedPoint;
   fullscreen(): Promise<void>;
   destroy(): void;
+}
+
+/** A point that is seen. */
+export interface ScenePoint {
+  position: [number, number, number]; // in Blender's axes
+  depth: number; // from the camera, along its view axis
+  voxel: number; // the longest edge of a voxel there: how exact the point is
+}
+
+export interface ProjectedPoint {
+  x: number; // CSS pixels of the canvas
+  y: number;
+  depth: number; // from the camera, along its view axis, in units of the scene; what is not above 0 is behind it
 }
 
 /** Show a scene in a container, which needs a size of its own. Throws a ViewerError when the browser has no WebGL 2. */
@@ -263,6 +283,29 @@ class CanvasViewer implements Viewer {
     const canvas = new OffscreenCanvas(w, h);
     canvas.getContext("2d")?.putImageData(new ImageData(pixels, w, h), 0, 0);
     return canvas.convertToBlob({ type: "image/png" });
+  }
+
+  pick(places: readonly [number, number][]): (ScenePoint | null)[] {
+    const { view, volume } = this;
+    if (!view || !volume) return places.map(() => null);
+    const { clientWidth, clientHeight } = this.canvas;
+    const points = places.map(([x, y]) => [(2 * x) / clientWidth - 1, 1 - (2 * y) / clientHeight] as const);
+    return volume.pick(this.webgl, view.rendered, points).map((point) => {
+      if (!point) return null;
+      const { depth } = this.project(point.toArray());
+      return { position: point.toArray(), depth, voxel: volume.voxelAt(point) };
+    });
+  }
+
+  project(point: readonly number[]): ProjectedPoint {
+    const camera = this.view?.rendered;
+    if (!camera) return { x: 0, y: 0, depth: 0 };
+    camera.updateMatrixWorld();
+    const seen = new Vector3(...point).applyMatrix4(camera.matrixWorldInverse);
+    const depth = -seen.z;
+    const { x, y } = seen.applyMatrix4(camera.projectionMatrix);
+    const { clientWidth, clientHeight } = this.canvas;
+    return { x: ((x + 1) / 2) * clientWidth, y: ((1 - y) / 2) * clientHeight, depth };
   }
 
   async fullscreen(): Promise<void> {

@@ -10,6 +10,7 @@ precision highp isampler3D;
 #define OPACITY_CORRECTION {{OPACITY_CORRECTION}}
 #define FORWARD_FACING {{FORWARD_FACING}}
 #define SCENE_DEPTH {{SCENE_DEPTH}}
+#define PICKING {{PICKING}} // give the depth at which half of the light is gone in place of a colour
 
 const float DATA_VOXELS = {{DATA_VOXELS}}; // voxels of a macroblock along an axis
 const float CELL_VOXELS = {{CELL_VOXELS}}; // the same with the apron, as stored in the atlas
@@ -81,6 +82,8 @@ void main() {
 #if SCENE_DEPTH
   float drawn = texelFetch(sceneDepth, ivec2(gl_FragCoord.xy), 0).r;
   far = min(far, viewFromBuffer(drawn) / -viewDirection.z);
+#endif
+#if SCENE_DEPTH || PICKING
   vec3 camera = origin;
 #endif
 #if FORWARD_FACING
@@ -99,7 +102,7 @@ void main() {
   vec3 entry = origin + direction * entryDistance;
   int samples = endDistance > entryDistance ? int(ceil(endDistance - entryDistance - 0.5)) : 0;
   int k = 0;
-#if SCENE_DEPTH
+#if SCENE_DEPTH || PICKING
   int halfway = -1; // the sample at which half of the light is gone
 #endif
   while (k < samples && transmittance > MIN_TRANSMITTANCE) {
@@ -138,7 +141,7 @@ void main() {
       features += transmittance * featureAt(page, texel);
 #endif
       transmittance *= 1.0 - rgba.a;
-#if SCENE_DEPTH
+#if SCENE_DEPTH || PICKING
       if (halfway < 0 && transmittance < 0.5) halfway = k;
 #endif
       maybeEmpty = rgba.a == 0.0;
@@ -158,15 +161,21 @@ void main() {
   if (transmittance <= NETWORK_TRANSMITTANCE) rgb += viewDependentColour(rgb + transmittance, features, networkFromCamera * viewDirection);
 #endif
   colour = vec4(clamp(rgb, 0.0, 1.0), 1.0 - transmittance); // premultiplied
-#if SCENE_DEPTH
-  gl_FragDepth = drawn;
+#if SCENE_DEPTH || PICKING
+  float viewDepth = 0.0; // ray space, along the view axis; 0 where half of the light comes through
   if (halfway >= 0) {
     vec3 point = entry + (float(halfway) + 0.5) * direction;
 #if FORWARD_FACING
     point = fromGrid(point);
 #endif
-    gl_FragDepth = bufferFromView(dot(point - camera, raySpaceFromCamera * vec3(0.0, 0.0, -1.0)));
+    viewDepth = dot(point - camera, raySpaceFromCamera * vec3(0.0, 0.0, -1.0));
   }
 #endif
+#if SCENE_DEPTH
+  gl_FragDepth = halfway >= 0 ? bufferFromView(viewDepth) : drawn;
+#endif
   if (linearOutput && colour.a > 0.0) colour.rgb = colour.a * linear(min(colour.rgb / colour.a, 1.0));
+#if PICKING
+  colour = vec4(uvec4(floatBitsToUint(viewDepth)) >> uvec4(0, 8, 16, 24) & 255u) / 255.0;
+#endif
 }

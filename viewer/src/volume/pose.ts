@@ -18,6 +18,8 @@ export interface ViewUniforms {
   clipPlanes: [number, number];
   depthTerms: Vector4;
   clipFromGrid: Matrix4;
+  unit: number; // of ray space, in units of the world
+  moved: number; // ray space: how far before the camera depths begin
 }
 
 /** The pose of the space in which rays are given: the grid's, or of a forward-facing scene the frame's. */
@@ -79,6 +81,8 @@ export function viewUniforms(
     clipPlanes: [near / unit - moved, Math.min(far / unit - moved, FARTHEST)],
     depthTerms: depthTerms(e, orthographic, unit, moved, reversed),
     clipFromGrid,
+    unit,
+    moved,
   };
 }
 

@@ -19,15 +19,16 @@ const glslFlag = (value: unknown) => (value ? "1" : "0");
 
 /**
  * GLSL ES 3.00 for a scene whose atlas is spread over `pages` textures of each kind. sceneDepth: stop at what is drawn already, and write
- * depth.
+ * depth. picking: give the depth at half transmittance in place of a colour, see `picking.ts`.
  */
-export function fragmentShader(scene: SceneDescription, pages: number, sceneDepth: boolean): string {
+export function fragmentShader(scene: SceneDescription, pages: number, sceneDepth: boolean, picking = false): string {
   const lookups = [...(scene.network ? ["rgba", "feature"] : ["rgba"]).map((kind) => texelLookup(kind, pages)), distanceLookup(pages)];
   return fillTemplate(march, {
     VIEW_DEPENDENCE: glslFlag(scene.network),
     OPACITY_CORRECTION: glslFlag(scene.fill_holes),
     FORWARD_FACING: glslFlag(scene.ndc),
     SCENE_DEPTH: glslFlag(sceneDepth),
+    PICKING: glslFlag(picking),
     DATA_VOXELS: glslFloat(DATA_VOXELS),
     CELL_VOXELS: glslFloat(CELL_VOXELS),
     NETWORK_TRANSMITTANCE: glslFloat(scene.network_transmittance),

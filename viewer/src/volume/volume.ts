@@ -25,6 +25,7 @@ import type { SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { Atlas, type AtlasTextures } from "./atlas";
 import { coveringTriangle } from "./full_screen";
+import { type PicturePoint, pickDepths, pickingMaterial, unproject } from "./picking";
 import { raySpacePose, raySpaceUnit, similarity, viewUniforms } from "./pose";
 import { SceneDepth } from "./scene_depth";
 import { fragmentShader, vertexShader } from "./shader";
@@ -53,6 +54,8 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private atlas: Atlas | null = null;
   private readonly abort = new AbortController();
   private uneven = false;
+  private picker: RawShaderMaterial | null = null; // null until it is loaded
+  private depthScale = { unit: 1, moved: 0 }; // of the view that was drawn last, see `ViewUniforms`
 
   constructor(
     readonly source: SnergScene,
@@ -87,6 +90,31 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     this.atlas?.dispose();
     this.geometry.dispose();
     this.material.dispose();
+    this.picker?.dispose();
+  }
+
+  /**
+   * Where rays through points of a camera's picture have lost half of their light, in the world; null where a ray keeps more. Other objects
+   * do not stop them. Wants a volume that is loaded, and all matrices up to date.
+   */
+  pick(renderer: WebGLRenderer, camera: Camera, points: readonly PicturePoint[]): (Vector3 | null)[] {
+    if (!this.picker || !points.length) return points.map(() => null);
+    const { material } = this;
+    this.material = this.picker;
+    const depths = pickDepths(renderer, this, camera, points);
+    this.material = material;
+    const { unit, moved } = this.depthScale;
+    return points.map((point, i) => (depths[i] > 0 ? unproject(camera, point, (depths[i] + moved) * unit) : null));
+  }
+
+  /** The longest edge of a voxel at a point of the world, in units of the world: how finely the scene is resolved there. */
+  voxelAt(point: Vector3): number {
+    const scene = this.source.description;
+    const scale = this.matrixWorld.getMaxScaleOnAxis();
+    if (!scene.ndc) return scene.voxel_size * scale;
+    const toFrame = this.matrixWorld.clone().multiply(this.content).multiply(raySpacePose(scene)).invert();
+    const [near, depth] = [scene.ndc.near, Math.max(-point.clone().applyMatrix4(toFrame).z, scene.ndc.near)];
+    return scene.voxel_size * scale * Math.max(depth ** 2 / (2 * near), depth / Math.min(...scene.ndc.focal));
   }
 
   private async read(renderer: WebGLRenderer): Promise<void> {
@@ -108,6 +136,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     uniforms.indirection = { value: textures.indirection };
     const shader = (depth: boolean) => fragmentShader(this.source.description, textures.distance.length, depth);
     this.shaders = [shader(false), shader(sceneDepth)];
+    this.picker = pickingMaterial(this.material, fragmentShader(this.source.description, textures.distance.length, false, true));
     this.geometry.setDrawRange(0, Number.POSITIVE_INFINITY);
     this.send({ type: "change" });
   }
@@ -118,13 +147,17 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     if (!this.shaders) return;
     const standing = similarity(this.matrixWorld.clone().multiply(this.content));
     if (!standing) return this.refuse();
+    this.uneven = false;
     const { uniforms } = this.material;
-    const drawn = this.shaders[0] === this.shaders[1] ? null : SceneDepth.of(renderer).copy();
-    this.useShader(this.shaders[drawn ? 1 : 0], drawn !== null);
+    if (this.material !== this.picker) {
+      const drawn = this.shaders[0] === this.shaders[1] ? null : SceneDepth.of(renderer).copy();
+      this.useShader(this.shaders[drawn ? 1 : 0], drawn !== null);
+      uniforms.sceneDepth.value = drawn;
+    }
     uniforms.gridShape.value.set(...this.source.description.shape);
-    uniforms.sceneDepth.value = drawn;
     const reversed = (renderer as WebGLRenderer & { reversedDepthBuffer?: boolean }).reversedDepthBuffer === true;
     const view = viewUniforms(this.source.description, standing, camera, renderer.getCurrentViewport(new Vector4()), reversed);
+    this.depthScale = view;
     uniforms.focal.value.set(...view.focal);
     uniforms.principalPoint.value.set(...view.principalPoint);
     uniforms.viewport.value.set(...view.viewport);
