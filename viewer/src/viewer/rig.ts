@@ -40,8 +40,7 @@ export function rotationOf({ heading, elevation, roll }: Stance): Quaternion {
 export const positionIn = (stance: Stance): Vector3 =>
   new Vector3(0, 0, stance.distance).applyQuaternion(rotationOf(stance)).add(stance.pivot);
 
-export const matrixOf = (stance: Stance): Matrix4 =>
-  new Matrix4().compose(positionIn(stance), rotationOf(stance), new Vector3(1, 1, 1));
+export const matrixOf = (stance: Stance): Matrix4 => new Matrix4().compose(positionIn(stance), rotationOf(stance), new Vector3(1, 1, 1));
 
 /** The stance of a camera with that pose and distance from its pivot. */
 export function stanceOf(cameraToWorld: Matrix4, distance: number): Stance {

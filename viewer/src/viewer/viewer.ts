@@ -6,10 +6,10 @@ import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
-import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
-import { rowsOf } from "./shared_view";
 import { type Mode, Navigation } from "./navigation";
+import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import type { OrbitLimits } from "./rig";
+import { rowsOf } from "./shared_view";
 import { View } from "./view";
 
 const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
