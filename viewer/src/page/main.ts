@@ -1,5 +1,6 @@
 // The exported page: one <snerg-viewer>, and the address that says what it shows.
 import { asViewerError, defineElement, type SnergViewerElement } from "../index";
+import { TRANSPARENT } from "../viewer/backdrop";
 import { readView, writeView } from "../viewer/shared_view";
 
 const WRITE_DELAY = 250; // milliseconds without a change after which the address follows the view
@@ -15,6 +16,9 @@ function addressOptions(): URLSearchParams {
 
 const element = document.querySelector("snerg-viewer") as SnergViewerElement;
 const address = addressOptions();
+/** Where the background is transparent, the page is too: what is behind its frame shows through. */
+const showThrough = () => document.documentElement.classList.toggle("clear", element.background === TRANSPARENT);
+
 for (const key of ["camera", "background", "width", "height", "ui"]) {
   const value = address.get(key);
   if (value !== null) element.setAttribute(key, value);
@@ -41,10 +45,12 @@ window.addEventListener("unhandledrejection", (event) => element.fail(asViewerEr
 
 defineElement();
 element.viewer?.on("image", () => hook.frames++);
+showThrough();
 
 /** Write the view into the address once it stands still; everything else that the address says stays. */
 let writing = 0;
 element.addEventListener("view", () => {
+  showThrough();
   clearTimeout(writing);
   writing = window.setTimeout(() => {
     if (!element.bar) return;
@@ -52,7 +58,10 @@ element.addEventListener("view", () => {
     history.replaceState(history.state, "", `#${parameters}`);
   }, WRITE_DELAY);
 });
-const showAddressed = () => element.bar?.show(readView(addressOptions()));
+const showAddressed = () => {
+  element.bar?.show(readView(addressOptions()));
+  showThrough();
+};
 element.addEventListener("picture", () => addressOptions().has("view") && showAddressed());
 window.addEventListener("hashchange", showAddressed);
 window.addEventListener("keydown", (event) => event.target === document.body && element.press(event));

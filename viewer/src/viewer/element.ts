@@ -1,7 +1,10 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
 import type { ViewerError } from "../errors";
+import { Announcer } from "./announce";
+import { colourOf } from "./backdrop";
+import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
-import { colourOf } from "./shared_view";
+import { MODES } from "./navigation";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
@@ -13,7 +16,9 @@ const HINT_SHOWN = 1500; // milliseconds
  *
  *   src         the bundle's folder (with cameras.json and scene/); without it, the folder or the single file of the page itself
  *   camera      the name or the number of the camera to begin with
- *   background  white, grey or black
+ *   background  white, grey, black, #rrggbb, transparent, or image for the picture of `background-image`
+ *   background-image  a picture behind the scene
+ *   mode        orbit, fly or walk: how one moves at first
  *   poster      a picture that is shown until the scene is there
  *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
  *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
@@ -31,6 +36,7 @@ export class SnergViewerElement extends HTMLElement {
   readonly ready: Promise<boolean>;
   /** The bar and what it can do; null until there is a picture. */
   bar: Bar | null = null;
+  private backgrounds: Backgrounds | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -61,6 +67,11 @@ export class SnergViewerElement extends HTMLElement {
     this.viewer?.destroy();
     this.viewer = null;
     this.bar = null;
+  }
+
+  /** What is behind the scene, in the words of the attribute. */
+  get background(): string {
+    return this.backgrounds?.current ?? "";
   }
 
   /** Show a message in place of the scene. */
@@ -95,10 +106,13 @@ export class SnergViewerElement extends HTMLElement {
     if (size) Object.assign(stage.style, { width: `${size.width}px`, height: `${size.height}px` });
     stage.classList.toggle("fixed", size !== undefined);
     const background = this.getAttribute("background") ?? "";
+    const address = this.getAttribute("background-image");
+    const backdrop = address === null ? null : this.find<HTMLImageElement>("backdrop");
+    if (backdrop && address) backdrop.src = address;
     const viewer = createViewer(stage, {
       src: this.getAttribute("src") ?? undefined,
       camera: this.getAttribute("camera"),
-      background: colourOf(background),
+      background: colourOf(background) ?? (backdrop ? [0, 0, 0, 0] : [1, 1, 1, 1]),
       size,
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
@@ -106,7 +120,17 @@ export class SnergViewerElement extends HTMLElement {
     const { canvas } = viewer;
     canvas.id = "canvas";
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, plus and minus to zoom, R to reset.");
+    canvas.setAttribute("aria-label", "The scene. Arrow keys turn it, plus and minus zoom, V changes how one moves, H helps.");
+    const announcer = new Announcer(this.find("spoken"), viewer);
+    this.backgrounds = new Backgrounds(stage, this.root, viewer, backdrop, () => this.dispatchEvent(new CustomEvent("view")));
+    const { backgrounds } = this;
+    backgrounds.show(background);
+    if (backdrop) {
+      backdrop.onerror = () => {
+        announcer.say("The background picture did not arrive.");
+        backgrounds.show("white");
+      };
+    }
     viewer.on("error", (error) => this.fail(error));
     viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
@@ -123,13 +147,8 @@ export class SnergViewerElement extends HTMLElement {
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
       if (this.bar || this.problem) return;
-      this.bar = new Bar(
-        this.root,
-        viewer,
-        (index) => this.choose(index),
-        () => this.dispatchEvent(new CustomEvent("view")),
-      );
-      this.bar.setBackground(background);
+      this.bar = new Bar(this.root, viewer, backgrounds, (index) => this.choose(index));
+      viewer.mode = MODES.find((mode) => mode === this.getAttribute("mode")) ?? "orbit";
       this.find("bar").hidden = this.getAttribute("ui") === "none";
       this.dispatchEvent(new CustomEvent("picture"));
     });
@@ -138,13 +157,16 @@ export class SnergViewerElement extends HTMLElement {
       this.dispatchEvent(new CustomEvent("view"));
     });
     let hiding = 0;
-    viewer.on("scroll", () => {
+    const hint = (text: string) => {
+      this.find("hint").textContent = text;
       this.find("hint").hidden = false;
       clearTimeout(hiding);
       hiding = window.setTimeout(() => {
         this.find("hint").hidden = true;
       }, HINT_SHOWN);
-    });
+    };
+    viewer.on("scroll", () => hint("Hold Ctrl and turn the wheel to zoom."));
+    viewer.on("said", hint);
     this.addEventListener("keydown", (event) => this.press(event));
     viewer.ready.then(
       () => {
@@ -178,7 +200,8 @@ export class SnergViewerElement extends HTMLElement {
     const origin = event.composedPath()[0];
     const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
-    if (this.bar?.press((event.key ?? "").toLowerCase())) event.preventDefault(); // null when the browser fills in a form
+    const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form
+    if (this.bar?.press(key) || this.viewer?.press(event)) event.preventDefault();
   }
 }
 

@@ -6,6 +6,7 @@ import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
 import { SnergVolume } from "../volume/volume";
+import { drawCovering } from "./backdrop";
 import { type Mode, Navigation } from "./navigation";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
 import type { OrbitLimits } from "./rig";
@@ -55,6 +56,8 @@ export interface Viewer {
   readonly state: ViewerState;
   readonly canvas: HTMLCanvasElement;
   background: Colour;
+  /** A picture that the page shows behind the canvas, which saved pictures have behind the scene. */
+  backdrop: HTMLImageElement | null;
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
@@ -103,6 +106,7 @@ class CanvasViewer implements Viewer {
   readonly canvas: HTMLCanvasElement;
   readonly ready: Promise<void>;
   cameras: readonly SnergCamera[] = [];
+  backdrop: HTMLImageElement | null = null;
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
@@ -281,7 +285,13 @@ class CanvasViewer implements Viewer {
     const pixels = renderer.capture(w, h, alpha ? [0, 0, 0, 0] : this.colour);
     view.resize(...size);
     const canvas = new OffscreenCanvas(w, h);
-    canvas.getContext("2d")?.putImageData(new ImageData(pixels, w, h), 0, 0);
+    const context = canvas.getContext("2d") as OffscreenCanvasRenderingContext2D;
+    const { backdrop } = this;
+    context.putImageData(new ImageData(pixels, w, h), 0, 0);
+    if (backdrop?.naturalWidth && !alpha) {
+      context.globalCompositeOperation = "destination-over";
+      drawCovering(context, backdrop);
+    }
     return canvas.convertToBlob({ type: "image/png" });
   }
 
