@@ -9,9 +9,10 @@ from typing import Any
 from ..artifact import Result, kind_of
 from ..data.camera_world import in_training_world
 from ..data.readers.camera_files import read_cameras
+from ..errors import SnergError
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUNDS, PLAIN, PageSettings
+from ..export.page_settings import BACKGROUNDS, MODES, PLAIN, TRANSPARENT, PageSettings, is_background
 from ..export.scene_files import codec_of, is_current
 from ..io.generation import one_generation
 from ..io.lock import writes_out
@@ -39,7 +40,7 @@ def bundle_scene(
     cameras: a transforms file whose cameras the page lists. dataset: as in `render_views`. codec: of the scene's pictures; the scene's
     own when None.
     """
-    check_out(out, "page", scene, *([cameras] if cameras else []))
+    check_out(out, "page", scene, *(file for file in (cameras, page.background_image) if file))
     viewer_files()
     listed = read_cameras(cameras) if cameras else ()
     if cameras and dataset is not None:
@@ -69,7 +70,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
     parser.add_argument("--description", default="", metavar="TEXT", help="a sentence for search engines and shared links")
     parser.add_argument("--address", default="", metavar="URL", help="where the page will be published; shared links then show its picture")
-    parser.add_argument("--background", choices=BACKGROUNDS, default="white")
+    words = ", ".join((*BACKGROUNDS, TRANSPARENT))
+    parser.add_argument("--background", default="white", metavar="WHAT", help=f"{words}, a colour as #204060, or the path of a picture")
+    parser.add_argument(
+        "--move", choices=MODES, default="orbit", help="how people move at first: fly and walk suit scenes seen from inside"
+    )
     pair: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MIN", "MAX")}
     parser.add_argument("--orbit-distance", **pair, help="how near and far people may orbit, in units of the scene")
     parser.add_argument("--orbit-elevation", **pair, help="how low and high people may orbit, in degrees above the horizon")
@@ -79,9 +84,23 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace, progress: Progress) -> Result:
     """Run `snerg bundle`."""
     distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
-    page = PageSettings(options.title, options.description, options.address, options.background, distance, elevation)
+    background, picture = background_of(options.background)
+    page = PageSettings(options.title, options.description, options.address, background, distance, elevation, picture, options.move)
     codec = codec_settings(options)
     return bundle_scene(options.scene, options.out, options.cameras, options.single_file, progress, codec, options.dataset, page)
+
+
+def background_of(text: str) -> tuple[str, Path | None]:
+    """A background by its name or its colour, or else the picture at a path, with what is shown without it.
+
+    Raises SnergError where it is none of them.
+    """
+    if is_background(text) or text.startswith("#"):
+        return text, None
+    if not Path(text).is_file():
+        words = ", ".join((*BACKGROUNDS, TRANSPARENT))
+        raise SnergError(f"There is no background {text!r}, and no picture of that name: give {words}, a colour as #204060, or a picture.")
+    return PLAIN.background, Path(text)
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

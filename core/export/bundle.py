@@ -23,6 +23,7 @@ from ..io.json_files import json_bytes, read_json
 from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
+from .backdrop import BACKDROP, backdrop_bytes
 from .codecs import PNG, CodecSettings
 from .page import POSTER, data_address, page_html, poster_bytes
 from .page_settings import PLAIN, PageSettings
@@ -51,13 +52,14 @@ def write_bundle(
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
     rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice.
     The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
-    holds coarse/, which the page shows as soon as somebody moves.
+    holds coarse/, which the page shows as soon as somebody moves. The page's background picture is written anew, see `backdrop_bytes`.
     Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
     """
     check_showable(scene, codec, single_file)
     files = viewer_files()
+    backdrop = backdrop_bytes(page.background_image) if page.background_image else None
     cameras = [camera for camera in cameras if not camera.is_wide]
     rendering: Progress = lambda fraction, _: progress(POSTER_SHARE * fraction, "Rendering the poster")  # noqa: E731
     poster = poster_bytes(scene, cameras[0], page, rendering) if cameras else None
@@ -74,12 +76,15 @@ def write_bundle(
 
     with new_folder(folder) as temporary:
         if single_file:
-            files["index.html"] = page_html(files["index.html"], page, data_address(poster) if poster else None)
+            inside = [data_address(picture) if picture else None for picture in (poster, backdrop)]
+            files["index.html"] = page_html(files["index.html"], page, *inside)
             write_single_file(files, temporary, write_data)
         else:
-            files["index.html"] = page_html(files["index.html"], page, POSTER if poster else None)
-            if poster:
-                (temporary / POSTER).write_bytes(poster)
+            pictures = {POSTER: poster, BACKDROP: backdrop}
+            files["index.html"] = page_html(files["index.html"], page, *(name if picture else None for name, picture in pictures.items()))
+            for name, picture in pictures.items():
+                if picture:
+                    (temporary / name).write_bytes(picture)
             for name, text in files.items():
                 (temporary / name).write_text(text, encoding="utf-8", newline="\n")
             write_data(temporary)
