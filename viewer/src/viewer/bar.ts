@@ -33,9 +33,12 @@ export class Bar {
     this.on("save", () => void this.save());
     this.on("cancel", () => this.find<HTMLDialogElement>("saving").close());
     this.find("fullscreen").hidden = !document.fullscreenEnabled;
-    this.find("stage").addEventListener("pointerdown", () => {
+    const close = () => {
       this.find("menu").ariaExpanded = "false";
-    });
+    };
+    this.find("stage").addEventListener("pointerdown", close);
+    for (const button of this.find("more").querySelectorAll("button")) button.addEventListener("click", close);
+    viewer.on("mode", close);
     root.host.addEventListener("fullscreenchange", () => this.showFullscreen());
     steer(this.find("stick"), this.find<HTMLSelectElement>("mode"), viewer);
   }

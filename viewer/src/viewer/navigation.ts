@@ -215,7 +215,7 @@ export class Navigation implements Hands {
   /** Fly faster or slower, by the logarithm of a factor. */
   private hasten(log: number): void {
     this.speed = Math.min(Math.max(this.speed * Math.exp(log), SPEEDS[0]), SPEEDS[1]);
-    this.events.said(`Speed × ${this.speed.toPrecision(2)}`);
+    this.events.said(`Speed: ${this.speed.toPrecision(2)}`);
   }
 
   /** Turn to the point of the scene that is seen there, and around it from then on. */
