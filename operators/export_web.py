@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 
 from ..core.data.readers.camera_files import write_transforms
+from ..core.errors import SnergError
 from ..core.export.annotations import annotations_json
 from ..core.export.page_settings import THUMBNAILS
 from ..core.geometry.camera_path import path_bytes
@@ -88,7 +89,10 @@ def part_arguments(scene: bpy.types.Scene, project: Project) -> list[str]:
 
 def page_arguments(settings: Any) -> list[str]:
     """The options for what the page says about itself, and how it opens."""
-    arguments = [] if settings.page_background == "white" else ["--background", settings.page_background]
+    background = page_background(settings)
+    arguments = [] if background == "white" else [f"--background={background}"]
+    if settings.page_mode != "orbit":
+        arguments += ["--move", settings.page_mode]
     for option, text in (
         ("--title", settings.page_title),
         ("--description", settings.page_description),
@@ -100,3 +104,14 @@ def page_arguments(settings: Any) -> list[str]:
         arguments += ["--orbit-distance", *(f"{value:g}" for value in settings.orbit_distance)]
         arguments += ["--orbit-elevation", *(f"{math.degrees(value):g}" for value in settings.orbit_elevation)]
     return arguments
+
+
+def page_background(settings: Any) -> str:
+    """The value of `--background`. Raises SnergError where a picture is wanted and none is named."""
+    if settings.page_background == "colour":
+        return "#{:02x}{:02x}{:02x}".format(*(round(255 * value) for value in settings.page_colour))
+    if settings.page_background == "image":
+        if not settings.page_image:
+            raise SnergError("The page's background is to be a picture: choose one under About the Page, or another background.")
+        return bpy.path.abspath(settings.page_image)
+    return str(settings.page_background)

@@ -349,8 +349,27 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
     page_background: EnumProperty(
         name="Background",
         description="Behind the scene at first; people who look at the page can change it",
-        items=[(name, name.capitalize(), "") for name in BACKGROUNDS],
+        items=[
+            *((name, name.capitalize(), "") for name in BACKGROUNDS),
+            ("colour", "Colour", "Any colour"),
+            ("transparent", "Transparent", "What is behind the frame in which the page stands"),
+            ("image", "Picture", "A picture, which is copied into the page, made smaller where it is large"),
+        ],
         default="white",
+    )
+    page_colour: FloatVectorProperty(
+        name="Colour", description="Behind the scene", subtype="COLOR_GAMMA", size=3, default=(0.05, 0.05, 0.05), min=0.0, max=1.0
+    )
+    page_image: StringProperty(name="Picture", description="Behind the scene", subtype="FILE_PATH", options=RELATIVE_PATHS)
+    page_mode: EnumProperty(
+        name="Movement",
+        description="How people move at first; they can change it",
+        items=[
+            ("orbit", "Orbit", "Around the scene"),
+            ("fly", "Fly", "Freely through the scene, for scenes seen from inside"),
+            ("walk", "Walk", "Upright and level through the scene, for scenes seen from inside"),
+        ],
+        default="orbit",
     )
     limits_orbit: BoolProperty(
         name="Limit the Orbit", description="Bound how near and far, how low and high people may orbit the scene", default=False

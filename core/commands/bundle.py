@@ -16,7 +16,7 @@ from ..errors import SnergError
 from ..export.annotations import read_annotations, with_known_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUNDS, PLAIN, THUMBNAILS, PageSettings
+from ..export.page_settings import BACKGROUNDS, MODES, PLAIN, THUMBNAILS, TRANSPARENT, PageSettings, is_background
 from ..export.scene_files import codec_of, is_current
 from ..export.thumbnails import SECONDS
 from ..export.world_units import SYSTEMS, WorldUnits
@@ -51,7 +51,7 @@ def bundle_scene(
     own when None. path: a camera path (see `read_path`) that the page can play; dataset goes for it, too. annotations: a file of labels
     (see `read_annotations`), in the same world as the cameras.
     """
-    check_out(out, "page", scene, *(file for file in (cameras, path, annotations) if file))
+    check_out(out, "page", scene, *(file for file in (cameras, path, annotations, page.background_image) if file))
     viewer_files()
     move = placed_path(read_path(path), path, dataset) if path else None
     listed = read_cameras(cameras) if cameras else ()
@@ -107,7 +107,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
     parser.add_argument("--description", default="", metavar="TEXT", help="a sentence for search engines and shared links")
     parser.add_argument("--address", default="", metavar="URL", help="where the page will be published; shared links then show its picture")
-    parser.add_argument("--background", choices=BACKGROUNDS, default="white")
+    words = ", ".join((*BACKGROUNDS, TRANSPARENT))
+    parser.add_argument("--background", default="white", metavar="WHAT", help=f"{words}, a colour as #204060, or the path of a picture")
+    parser.add_argument(
+        "--move", choices=MODES, default="orbit", help="how people move at first: fly and walk suit scenes seen from inside"
+    )
     pair: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MIN", "MAX")}
     parser.add_argument("--orbit-distance", **pair, help="how near and far people may orbit, in units of the scene")
     parser.add_argument("--orbit-elevation", **pair, help="how low and high people may orbit, in degrees above the horizon")
@@ -119,13 +123,16 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
     distance, elevation = (tuple(pair) if pair else None for pair in (options.orbit_distance, options.orbit_elevation))
     if options.play and options.path is None:
         raise SnergError("--play plays a camera path; give one with --path, or leave --play out.")
+    background, picture = background_of(options.background)
     page = PageSettings(
         options.title,
         options.description,
         options.address,
-        options.background,
+        background,
         distance,
         elevation,
+        picture,
+        options.move,
         play=options.play,
         thumbnails=options.thumbnails,
         measures=options.measure,
@@ -144,6 +151,19 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
         options.path,
         options.annotations,
     )
+
+
+def background_of(text: str) -> tuple[str, Path | None]:
+    """A background by its name or its colour, or else the picture at a path, with what is shown without it.
+
+    Raises SnergError where it is none of them.
+    """
+    if is_background(text) or text.startswith("#"):
+        return text, None
+    if not Path(text).is_file():
+        words = ", ".join((*BACKGROUNDS, TRANSPARENT))
+        raise SnergError(f"There is no background {text!r}, and no picture of that name: give {words}, a colour as #204060, or a picture.")
+    return PLAIN.background, Path(text)
 
 
 COMMAND = Command("bundle", "write a scene as a web page", add_options, run)

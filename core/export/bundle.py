@@ -26,6 +26,7 @@ from ..progress import Progress, silent, within
 from ..scene.coarse import coarse_scene
 from ..scene.scene import Scene
 from .annotations import annotations_json
+from .backdrop import BACKDROP, backdrop_bytes
 from .cell_order import cell_order
 from .codecs import PNG, CodecSettings
 from .optional_code import FOLDER as OPTIONAL
@@ -68,6 +69,7 @@ def write_bundle(
     """
     check_showable(scene, codec, single_file)
     files = viewer_files(optional_names(single_file, page, path is not None))
+    backdrop = backdrop_bytes(page.background_image) if page.background_image else None
     cameras = [camera for camera in cameras if not camera.is_wide]
     first = cameras[0] if cameras else path.camera_at(path.start) if path else None
     poster = poster_bytes(scene, first, page, within(progress, 0.0, POSTER_END)) if first else None
@@ -95,12 +97,15 @@ def write_bundle(
 
     with new_folder(folder) as temporary:
         if single_file:
-            files["index.html"] = page_html(files["index.html"], page, data_address(poster) if poster else None)
+            inside = [data_address(picture) if picture else None for picture in (poster, backdrop)]
+            files["index.html"] = page_html(files["index.html"], page, *inside)
             write_single_file(files, temporary, write_data)
         else:
-            files["index.html"] = page_html(files["index.html"], page, POSTER if poster else None)
-            if poster:
-                (temporary / POSTER).write_bytes(poster)
+            pictures = {POSTER: poster, BACKDROP: backdrop}
+            files["index.html"] = page_html(files["index.html"], page, *(name if picture else None for name, picture in pictures.items()))
+            for name, picture in pictures.items():
+                if picture:
+                    (temporary / name).write_bytes(picture)
             for name, text in files.items():
                 (temporary / name).parent.mkdir(exist_ok=True)
                 (temporary / name).write_text(text, encoding="utf-8", newline="\n")

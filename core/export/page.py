@@ -14,7 +14,7 @@ from ..io.images import to_uint8
 from ..progress import Progress
 from ..rendering.render import render_scene
 from ..scene.scene import Scene
-from .page_settings import BACKGROUNDS, PageSettings, pair
+from .page_settings import PageSettings, pair
 
 POSTER = "poster.webp"
 POSTER_SIDE = 960  # pixels of the poster's longer side at most
@@ -24,9 +24,13 @@ TITLE = "<title>SNeRG</title>"
 HEADING = '<h1 class="unseen">SNeRG</h1>'  # for screen readers
 
 
-def page_html(template: str, settings: PageSettings, poster: str | None) -> str:
-    """index.html with its title, its description and the attributes of its element. poster: the address of the picture."""
-    attributes: dict[str, str] = {"background": settings.background}
+def page_html(template: str, settings: PageSettings, poster: str | None, backdrop: str | None = None) -> str:
+    """index.html with its title, its description and the attributes of its element. poster, backdrop: the addresses of the pictures."""
+    attributes: dict[str, str] = {"background": "image" if backdrop else settings.background}
+    if backdrop:
+        attributes["background-image"] = backdrop
+    if settings.mode != "orbit":
+        attributes["mode"] = settings.mode
     if poster:
         attributes["poster"] = poster
     if settings.distance:
@@ -58,7 +62,7 @@ def _head(settings: PageSettings, poster: str | None) -> str:
 
 
 def poster_bytes(scene: Scene, camera: Camera, settings: PageSettings, progress: Progress) -> bytes:
-    """A WebP picture of the scene from a camera, over the page's background. Raises as `render_scene` does."""
+    """A WebP picture of the scene from a camera, over the page's colour, or else with alpha. Raises as `render_scene` does."""
     return picture_bytes(scene, camera, settings, POSTER_SIDE, POSTER_QUALITY, progress)
 
 
@@ -66,8 +70,8 @@ def picture_bytes(scene: Scene, camera: Camera, settings: PageSettings, side: in
     """A WebP picture as `poster_bytes`, of which the longer side has at most `side` pixels. quality: 0 to 100."""
     scale = min(1.0, side / max(camera.width, camera.height))
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-    value = BACKGROUNDS[settings.background]
-    picture = to_uint8(render_scene(scene, small, progress=progress).over((value, value, value)))
+    frame = render_scene(scene, small, progress=progress)
+    picture = to_uint8(frame.straight() if settings.colour is None else frame.over(settings.colour))
     buffer = io.BytesIO()
     Image.fromarray(picture).save(buffer, format="WEBP", quality=quality, method=4)
     return buffer.getvalue()

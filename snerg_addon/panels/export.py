@@ -74,8 +74,12 @@ def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:
     header.label(text="About the Page")
     if body is None:
         return
-    for name in ("page_title", "page_description", "page_address", "page_background", "limits_orbit"):
+    for name in ("page_title", "page_description", "page_address", "page_background"):
         body.prop(settings, name)
+    if settings.page_background in ("colour", "image"):
+        body.prop(settings, f"page_{settings.page_background}")
+    body.prop(settings, "page_mode")
+    body.prop(settings, "limits_orbit")
     if settings.limits_orbit:
         body.prop(settings, "orbit_distance")
         body.prop(settings, "orbit_elevation")

@@ -278,7 +278,21 @@ def test_a_page_says_what_the_artist_wrote(scene, monkeypatch):
     settings.orbit_distance, settings.orbit_elevation = (2.0, 3.5), (0.0, math.pi / 4)
     parsed = parser().parse_args(started(monkeypatch, "export_web"))
     assert parsed.title == "--out" and parsed.background == "black" and parsed.description == ""
-    assert parsed.orbit_distance == [2.0, 3.5] and parsed.orbit_elevation == [0.0, 45.0]
+    assert parsed.orbit_distance == [2.0, 3.5] and parsed.orbit_elevation == [0.0, 45.0] and parsed.move == "orbit"
+
+
+def test_the_background_of_a_page(scene, monkeypatch):
+    """Any colour, nothing, or a picture, which is asked for where none is named."""
+    settings = scene.snerg
+    for kind, expected in (("transparent", "transparent"), ("colour", "#ff8000")):
+        settings.page_background, settings.page_colour, settings.page_mode = kind, (1.0, 0.5, 0.0), "walk"
+        parsed = parser().parse_args(started(monkeypatch, "export_web"))
+        assert parsed.background == expected and parsed.move == "walk"
+    settings.page_background = "image"
+    with pytest.raises(SnergError, match="choose one under About the Page"):
+        started(monkeypatch, "export_web")
+    settings.page_image = "/pictures/-sky.png"
+    assert parser().parse_args(started(monkeypatch, "export_web")).background == "/pictures/-sky.png"
 
 
 def test_what_is_wrong_with_a_dataset_folder_is_said(scene, tmp_path):

@@ -50,7 +50,7 @@ def browser(launch: Callable[..., Browser]) -> Iterator[Browser]:
 
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 500, "height": 400})
+    context = browser.new_context(viewport={"width": 1200, "height": 400})
     context.set_default_timeout(60_000)
     yield context.new_page()
     context.close()
@@ -97,5 +97,7 @@ def picture(page: Page) -> np.ndarray:
 
 def picture_of(page: Page) -> np.ndarray:
     """What the canvas shows now, as `picture` returns it."""
-    data = page.locator("#canvas").screenshot()
+    canvas = page.locator("#canvas")
+    canvas.evaluate("canvas => canvas.blur()")  # without the ring of the focus
+    data = canvas.screenshot()
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")) / 255

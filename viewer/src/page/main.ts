@@ -1,4 +1,5 @@
 // The exported page: one <snerg-viewer>, and the address that says what it shows.
+import { TRANSPARENT } from "../viewer/backdrop";
 import { defineElement, type SnergViewerElement } from "../viewer/element";
 import { readView, writeView } from "../viewer/shared_view";
 import { asViewerError } from "../viewer/viewer";
@@ -16,6 +17,9 @@ function addressOptions(): URLSearchParams {
 
 const element = document.querySelector("snerg-viewer") as SnergViewerElement;
 const address = addressOptions();
+/** Where the background is transparent, the page is too: what is behind its frame shows through. */
+const showThrough = () => document.documentElement.classList.toggle("clear", element.background === TRANSPARENT);
+
 for (const key of ["camera", "background", "width", "height", "ui"]) {
   const value = address.get(key);
   if (value !== null) element.setAttribute(key, value);
@@ -42,10 +46,12 @@ window.addEventListener("unhandledrejection", (event) => element.fail(asViewerEr
 
 defineElement();
 element.viewer?.on("image", () => hook.frames++);
+showThrough();
 
 /** Write the view into the address once it stands still; everything else that the address says stays. */
 let writing = 0;
 element.addEventListener("view", () => {
+  showThrough();
   clearTimeout(writing);
   writing = window.setTimeout(() => {
     if (!element.bar) return;
@@ -53,7 +59,10 @@ element.addEventListener("view", () => {
     history.replaceState(history.state, "", `#${parameters}`);
   }, WRITE_DELAY);
 });
-const showAddressed = () => element.bar?.show(readView(addressOptions()));
+const showAddressed = () => {
+  element.bar?.show(readView(addressOptions()));
+  showThrough();
+};
 element.addEventListener("picture", () => ["view", "frame"].some((key) => addressOptions().has(key)) && showAddressed());
 window.addEventListener("hashchange", showAddressed);
 

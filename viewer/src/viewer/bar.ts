@@ -1,6 +1,8 @@
-// The bar below the picture: cameras, backgrounds, sharing, pictures, full screen, and the keys for them.
+// The bar below the picture: cameras, sharing, pictures, full screen, help, and the keys for them.
+import type { Backgrounds } from "./backgrounds";
 import { Gallery, labelOf } from "./gallery";
-import { BACKGROUNDS, colourOf, type SharedView, writeView } from "./shared_view";
+import { type SharedView, writeView } from "./shared_view";
+import { steer } from "./steering";
 import { findCamera, type Viewer } from "./viewer";
 
 export const MAX_SIDE = 8192; // pixels of a picture that may be asked for
@@ -10,20 +12,22 @@ const LINK_SHOWN = 2000; // milliseconds that "Copied" stays
 export class Bar {
   private gallery: Gallery | null = null;
   private frameShown = false;
-  private backgroundChosen = false; // by a person
 
-  /** choose(index, duration): shows a camera after a flight of so many seconds. changed: called when a background is chosen. */
+  /** choose(index, duration): shows a camera after a flight of so many seconds. */
   constructor(
     private readonly root: ShadowRoot,
     private readonly viewer: Viewer,
+    private readonly backgrounds: Backgrounds,
     private readonly choose: (index: number, duration: number) => void,
-    changed: () => void,
   ) {
     this.fillCameras();
     this.on("previous", () => this.step(-1));
     this.on("next", () => this.step(1));
     this.on("reset", () => this.reset());
-    this.on("fullscreen", () => void viewer.fullscreen());
+    this.on("fullscreen", () => void this.toggleFullscreen());
+    this.on("menu", () => this.toggleMenu());
+    this.on("help", () => this.find<HTMLDialogElement>("helping").showModal());
+    this.on("close-help", () => this.find<HTMLDialogElement>("helping").close());
     this.on("share", () => this.openSharing());
     this.on("copy", () => void this.copy(this.find<HTMLInputElement>("link").value));
     this.on("copy-embed", () => void this.copy(this.find<HTMLTextAreaElement>("embed").value));
@@ -32,36 +36,31 @@ export class Bar {
     this.on("save", () => void this.save());
     this.on("cancel", () => this.find<HTMLDialogElement>("saving").close());
     this.find("fullscreen").hidden = !document.fullscreenEnabled;
-    for (const input of root.querySelectorAll<HTMLInputElement>("[name=background]")) {
-      input.onchange = () => {
-        this.backgroundChosen = true;
-        viewer.background = colourOf(input.value);
-        changed();
-      };
-    }
+    const close = () => {
+      this.find("menu").ariaExpanded = "false";
+    };
+    this.find("stage").addEventListener("pointerdown", close);
+    for (const button of this.find("more").querySelectorAll("button")) button.addEventListener("click", close);
+    viewer.on("mode", close);
+    root.host.addEventListener("fullscreenchange", () => this.showFullscreen());
+    steer(this.find("stick"), this.find<HTMLSelectElement>("mode"), viewer);
   }
 
   /** What a link to the present view says. */
   get view(): SharedView {
     const { camera, atCamera, cameraToWorld, zoom, path } = this.viewer.state;
-    const background = this.backgroundChosen ? this.background : null;
+    const background = this.backgrounds.chosen ? this.backgrounds.current : null;
     if (path?.shown) return { camera: null, background, pose: null, zoom: 1, frame: path.frame };
     return { camera: camera || null, background, pose: atCamera ? null : cameraToWorld, zoom: atCamera ? 1 : zoom, frame: null };
   }
 
   /** Show what a link says; what it does not say stays. */
   show(view: SharedView): void {
-    if (view.background) this.setBackground(view.background);
+    if (view.background) this.backgrounds.show(view.background);
     const index = findCamera(this.viewer.cameras, view.camera);
     if (index >= 0) this.choose(index, view.pose || view.frame !== null ? 0 : FLIGHT);
     if (view.frame !== null) this.viewer.path?.seek(view.frame);
     else if (view.pose) this.viewer.lookFrom(view.pose, view.zoom);
-  }
-
-  setBackground(name: string): void {
-    const input = this.root.querySelector<HTMLInputElement>(`[name=background][value=${BACKGROUNDS.has(name) ? name : "white"}]`);
-    if (input) input.checked = true;
-    this.viewer.background = colourOf(name);
   }
 
   /** Take a key; returns whether it means something. */
@@ -69,7 +68,9 @@ export class Bar {
     const count = this.viewer.cameras.length;
     if (key === "r") this.reset();
     else if (key === "n" || key === "p") this.step(key === "n" ? 1 : -1);
-    else if (key === "f") void this.viewer.fullscreen();
+    else if (key === "f") void this.toggleFullscreen();
+    else if (key === "h" || key === "?") this.find<HTMLDialogElement>("helping").showModal();
+    else if (key === "escape" && this.menuOpen) this.toggleMenu();
     else if (key === "i") this.find("readout").hidden = !this.find("readout").hidden;
     else if (key === "m") this.toggleFrame();
     else if (/^[1-9]$/.test(key) && Number(key) <= count) this.choose(Number(key) - 1, FLIGHT);
@@ -90,8 +91,26 @@ export class Bar {
     Object.assign(this.find("frame").style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
   }
 
-  private get background(): string {
-    return this.root.querySelector<HTMLInputElement>("[name=background]:checked")?.value ?? "white";
+  private get menuOpen(): boolean {
+    return this.find("menu").ariaExpanded === "true";
+  }
+
+  /** Where the bar is narrow, a menu holds most of it. */
+  private toggleMenu(): void {
+    const open = !this.menuOpen;
+    this.find("menu").ariaExpanded = String(open);
+    this.find("more").style.maxHeight = `${this.find("stage").clientHeight}px`;
+    if (!open) this.find("menu").focus();
+  }
+
+  private async toggleFullscreen(): Promise<void> {
+    if (!document.fullscreenEnabled) return;
+    if (document.fullscreenElement) await document.exitFullscreen();
+    else await this.root.host.requestFullscreen();
+  }
+
+  private showFullscreen(): void {
+    this.find("fullscreen").textContent = document.fullscreenElement ? "Leave full screen" : "Full screen";
   }
 
   private find<T extends HTMLElement>(id: string): T {

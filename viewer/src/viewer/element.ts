@@ -3,8 +3,11 @@ import type { ViewerError } from "../errors";
 import { loadOptional } from "../load_optional";
 import type { BenchmarkResult } from "../optional/benchmark";
 import type { PathBar } from "../optional/path";
+import { Announcer } from "./announce";
+import { colourOf } from "./backdrop";
+import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
-import { colourOf } from "./shared_view";
+import { MODES } from "./navigation";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
@@ -17,7 +20,9 @@ const FLIGHT = 1.2; // seconds to the camera of an annotation
  *
  *   src         the bundle's folder (with cameras.json and scene/); without it, the folder or the single file of the page itself
  *   camera      the name or the number of the camera to begin with
- *   background  white, grey or black
+ *   background  white, grey, black, #rrggbb, transparent, or image for the picture of `background-image`
+ *   background-image  a picture behind the scene
+ *   mode        orbit, fly or walk: how one moves at first
  *   poster      a picture that is shown until the scene is there
  *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
  *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
@@ -38,6 +43,7 @@ export class SnergViewerElement extends HTMLElement {
   bar: Bar | null = null;
   private pathBar: PathBar | null = null;
   private leaving = new AbortController(); // tells the optional code that the viewer is closed
+  private backgrounds: Backgrounds | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -71,6 +77,11 @@ export class SnergViewerElement extends HTMLElement {
     this.viewer = null;
     this.bar = null;
     this.pathBar = null;
+  }
+
+  /** What is behind the scene, in the words of the attribute. */
+  get background(): string {
+    return this.backgrounds?.current ?? "";
   }
 
   /** Show a message in place of the scene. */
@@ -116,10 +127,13 @@ export class SnergViewerElement extends HTMLElement {
     if (size) Object.assign(stage.style, { width: `${size.width}px`, height: `${size.height}px` });
     stage.classList.toggle("fixed", size !== undefined);
     const background = this.getAttribute("background") ?? "";
+    const address = this.getAttribute("background-image");
+    const backdrop = address === null ? null : this.find<HTMLImageElement>("backdrop");
+    if (backdrop && address) backdrop.src = address;
     const viewer = createViewer(stage, {
       src: this.getAttribute("src") ?? undefined,
       camera: this.getAttribute("camera"),
-      background: colourOf(background),
+      background: colourOf(background) ?? (backdrop ? [0, 0, 0, 0] : [1, 1, 1, 1]),
       size,
       play: this.hasAttribute("play"),
       covered: () => !this.find("poster").hidden,
@@ -129,7 +143,17 @@ export class SnergViewerElement extends HTMLElement {
     const { canvas } = viewer;
     canvas.id = "canvas";
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "The scene. Drag to orbit, arrow keys to turn, plus and minus to zoom, R to reset.");
+    canvas.setAttribute("aria-label", "The scene. Arrow keys turn it, plus and minus zoom, V changes how one moves, H helps.");
+    const announcer = new Announcer(this.find("spoken"), viewer);
+    this.backgrounds = new Backgrounds(stage, this.root, viewer, backdrop, () => this.dispatchEvent(new CustomEvent("view")));
+    const { backgrounds } = this;
+    backgrounds.show(background);
+    if (backdrop) {
+      backdrop.onerror = () => {
+        announcer.say("The background picture did not arrive.");
+        backgrounds.show("white");
+      };
+    }
     viewer.on("error", (error) => this.fail(error));
     viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
@@ -146,13 +170,8 @@ export class SnergViewerElement extends HTMLElement {
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
       if (this.bar || this.problem) return;
-      this.bar = new Bar(
-        this.root,
-        viewer,
-        (index, duration) => this.choose(index, duration),
-        () => this.dispatchEvent(new CustomEvent("view")),
-      );
-      this.bar.setBackground(background);
+      this.bar = new Bar(this.root, viewer, backgrounds, (index, duration) => this.choose(index, duration));
+      viewer.mode = MODES.find((mode) => mode === this.getAttribute("mode")) ?? "orbit";
       this.find("bar").hidden = this.getAttribute("ui") === "none";
       void this.addPathBar(viewer);
       this.addParts(viewer);
@@ -163,13 +182,16 @@ export class SnergViewerElement extends HTMLElement {
       this.dispatchEvent(new CustomEvent("view"));
     });
     let hiding = 0;
-    viewer.on("scroll", () => {
+    const hint = (text: string) => {
+      this.find("hint").textContent = text;
       this.find("hint").hidden = false;
       clearTimeout(hiding);
       hiding = window.setTimeout(() => {
         this.find("hint").hidden = true;
       }, HINT_SHOWN);
-    });
+    };
+    viewer.on("scroll", () => hint("Hold Ctrl and turn the wheel to zoom."));
+    viewer.on("said", hint);
     this.addEventListener("keydown", (event) => this.press(event));
     viewer.ready.then(
       () => {
@@ -197,7 +219,7 @@ export class SnergViewerElement extends HTMLElement {
       const added = loadOptional(name).then(({ attach }) => attach({ ...host, signal: this.leaving.signal }));
       added.catch((error: unknown) => {
         this.find("hint").textContent = asViewerError(error).message;
-        this.find("hint").hidden = false;
+        this.find("hint").hidden = false; // until another hint
       });
     }
   }
@@ -227,7 +249,8 @@ export class SnergViewerElement extends HTMLElement {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
     const onButton = origin instanceof HTMLElement && origin.matches("button");
     if (this.pathBar?.press(event.key, onButton)) return event.preventDefault();
-    if (this.bar?.press((event.key ?? "").toLowerCase())) event.preventDefault(); // null when the browser fills in a form
+    const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form
+    if (this.bar?.press(key) || this.viewer?.press(event)) event.preventDefault();
   }
 }
 

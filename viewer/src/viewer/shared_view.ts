@@ -1,27 +1,16 @@
 // A view as parameters of an address: the camera, and where somebody has moved from there.
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { matrixOfRows } from "../data/scene";
-import type { Colour } from "./progressive_renderer";
+import { colourOf } from "./backdrop";
 
-export const BACKGROUNDS: ReadonlyMap<string, number> = new Map([
-  ["white", 1],
-  ["grey", 128 / 255],
-  ["black", 0],
-]);
 const DIGITS = 10; // of each number: a thousandth of a pixel, also far from the world's origin
 
 export interface SharedView {
   camera: string | null; // the name of the camera that the view began from
-  background: string | null; // of BACKGROUNDS
+  background: string | null; // as `colourOf` knows it
   pose: number[][] | null; // camera-to-world, four rows; null for the camera's own
   zoom: number; // of an orthographic camera
   frame: number | null; // of the camera path, where the view is its
-}
-
-/** A background by its name; white for an unknown name. */
-export function colourOf(name: string): Colour {
-  const value = BACKGROUNDS.get(name) ?? 1;
-  return [value, value, value, 1];
 }
 
 /** Put a view into the parameters of an address. All others stay as they are. */
@@ -44,7 +33,7 @@ export function readView(parameters: URLSearchParams): SharedView {
   const zoom = Number(parameters.get("zoom") ?? 1);
   return {
     camera: parameters.get("camera"),
-    background: background !== null && BACKGROUNDS.has(background) ? background : null,
+    background: background !== null && colourOf(background) ? background : null,
     pose: poseOf((parameters.get("view") ?? "").split(",").map(Number)),
     zoom: zoom > 0 && Number.isFinite(zoom) ? zoom : 1,
     frame: Number.isFinite(frame) ? frame : null,

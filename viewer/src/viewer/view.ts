@@ -1,13 +1,12 @@
-// The camera of the page: an exported camera, exactly, until the user moves; then one that orbits the scene.
-import { Camera, Matrix4, OrthographicCamera, PerspectiveCamera, Vector3 } from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+// The camera of the page: an exported camera, exactly, until the user moves; then one that a rig carries.
+import { Camera, Matrix4, Vector3 } from "three";
 import type { SnergCamera } from "../data/cameras";
 import { matrixOfRows, type NdcFrame, positionOf, type SceneDescription } from "../data/scene";
 import { sphereOf } from "../volume/volume";
+import { matrixOf, type OrbitLimits, Rig, rotationOf, type Stance, stanceOf } from "./rig";
 
-const MIN_TILT = 1e-4; // radians: a camera that looks straight down is tilted by this much, so that the orbit keeps its heading
-const MIN_ORBIT_DISTANCE = 0.02; // of the orbit's scale: where a camera is past the centre, it orbits a point this far before it
-const NEAREST = 1e-3; // of the orbit's scale: the near plane in the depth buffer, of cameras whose own is nearer
+const MIN_ORBIT_DISTANCE = 0.02; // of the scene's size: where a camera is past the centre, it orbits a point this far before it
+const NEAREST = 1e-3; // of the scene's size: the near plane in the depth buffer, of cameras whose own is nearer
 const DEPTHS = 1e6; // farthest over nearest in the depth buffer
 
 type Viewed = Omit<SnergCamera, "name"> & { name: string };
@@ -21,67 +20,32 @@ function frameCamera({ camera_to_world, focal }: NdcFrame): Viewed {
   return { ...UNNAMED, width, height, focal: pixels, centre, cameraToWorld: matrixOfRows(camera_to_world) };
 }
 
-/** Where the orbit may go. */
-export interface OrbitLimits {
-  distance?: [number, number]; // nearest and farthest, in units of the scene, from the point that is looked at
-  elevation?: [number, number]; // lowest and highest, in degrees above the horizon
-}
-
 /** The camera of three.js that renders the view. Its clip planes are the viewed camera's. */
 class ViewCamera extends Camera {
   near = 0;
   far = Number.POSITIVE_INFINITY;
 }
 
-/**
- * The camera, and the controls that move it.
- *
- * All numbers are in double precision. The controls work in units of `orbitScale` around `centre`, so that they behave the same
- * for scenes of any size at any distance from the world's origin.
- */
+/** The camera, and the rig that carries it away from where it was exported. All numbers are in double precision. */
 export class View {
   readonly rendered = new ViewCamera(); // see `update`
   camera: Viewed;
   atCamera = true; // whether the view is `camera` itself
   shared = false; // whether `camera` was moved by `lookFrom`
-  readonly controls: OrbitControls;
-  readonly orbitScale: number;
+  readonly rig: Rig;
   private readonly centre: Vector3;
-  private readonly orbitCameras = { perspective: new PerspectiveCamera(), orthographic: new OrthographicCamera() };
   private size: [number, number] = [1, 1];
-  private jumping = false;
   private lookedZoom = 1; // of `lookFrom`
 
-  /** element: receives the mouse. onChange: called when the image changes. */
+  /** onChange: called when the image changes. */
   constructor(
     private readonly scene: SceneDescription,
-    element: HTMLElement,
     private readonly onChange: () => void,
     limits: OrbitLimits = {},
   ) {
     const sphere = sphereOf(scene);
-    this.orbitScale = 2 * sphere.radius;
+    this.rig = new Rig(2 * sphere.radius, limits);
     this.centre = sphere.center;
-    for (const camera of Object.values(this.orbitCameras)) camera.up.set(0, 0, 1);
-    this.controls = new OrbitControls(this.orbitCameras.perspective, element);
-    Object.assign(this.controls, {
-      rotateSpeed: 0.8,
-      zoomToCursor: true,
-      minDistance: 1e-3,
-      maxDistance: 100,
-      minZoom: 1e-2,
-      maxZoom: 1e3,
-    });
-    if (limits.distance) [this.controls.minDistance, this.controls.maxDistance] = limits.distance.map((length) => length / this.orbitScale);
-    if (limits.elevation) {
-      const [low, high] = limits.elevation.map((degrees) => ((90 - degrees) * Math.PI) / 180);
-      [this.controls.minPolarAngle, this.controls.maxPolarAngle] = [high, low];
-    }
-    this.controls.addEventListener("change", () => {
-      if (this.jumping) return;
-      this.atCamera = false;
-      this.changed();
-    });
     this.camera = this.overview();
     this.place();
   }
@@ -91,7 +55,7 @@ export class View {
     if (this.scene.ndc) return frameCamera(this.scene.ndc);
     const back = new Vector3(0.45, -0.8, 0.4).normalize();
     const cameraToWorld = new Matrix4().lookAt(back, new Vector3(), new Vector3(0, 0, 1));
-    cameraToWorld.setPosition(back.multiplyScalar(1.6 * this.orbitScale).add(this.centre));
+    cameraToWorld.setPosition(back.multiplyScalar(1.6 * this.rig.size).add(this.centre));
     return { ...UNNAMED, width: 1000, height: 1000, focal: [1500, 1500], centre: [500, 500], cameraToWorld };
   }
 
@@ -118,61 +82,61 @@ export class View {
 
   /** The zoom from the exported camera, of an orthographic one. */
   get zoom(): number {
-    const orbit = this.atCamera ? 1 : (this.controls.object as OrthographicCamera).zoom;
+    const orbit = this.atCamera ? 1 : 1 / this.rig.now.extent;
     return this.camera.projection === "orthographic" ? orbit * (this.shared ? this.lookedZoom : 1) : 1;
   }
 
   private place(): void {
-    const { camera } = this;
     this.atCamera = true;
-    const [up, backward] = [1, 2].map((column) => new Vector3().setFromMatrixColumn(camera.cameraToWorld, column));
-    const forward = backward.negate();
-    const position = positionOf(camera.cameraToWorld).sub(this.centre).divideScalar(this.orbitScale);
-    const distance = this.orbitDistance(camera) / this.orbitScale;
-    const target = position.clone().addScaledVector(forward, distance);
-    if (Math.hypot(forward.x, forward.y) < MIN_TILT) target.addScaledVector(up.setZ(0), -MIN_TILT * Math.sign(forward.z) * distance);
-    this.jumping = true;
-    this.controls.object = this.orbitCameras[camera.projection];
-    this.controls.object.position.copy(position);
-    (this.controls.object as PerspectiveCamera | OrthographicCamera).zoom = 1;
-    this.controls.target.copy(target);
-    this.fitOrbitCameras();
-    this.controls.update();
-    this.jumping = false;
+    this.rig.stand(stanceOf(this.camera.cameraToWorld, this.orbitDistance(this.camera)));
   }
 
   /** How far before a camera lies the point that an orbit from it turns around, in units of the scene. */
   orbitDistance({ cameraToWorld }: Viewed): number {
     const backward = new Vector3().setFromMatrixColumn(cameraToWorld, 2);
-    return Math.max(positionOf(cameraToWorld).sub(this.centre).dot(backward), MIN_ORBIT_DISTANCE * this.orbitScale);
+    return Math.max(positionOf(cameraToWorld).sub(this.centre).dot(backward), MIN_ORBIT_DISTANCE * this.rig.size);
   }
 
   /** The view as a camera of its own. */
   get current(): Viewed {
-    const zoom = this.atCamera ? 1 : (this.controls.object as PerspectiveCamera).zoom;
+    const zoom = this.atCamera ? 1 : 1 / this.rig.now.extent;
     const focal = this.camera.focal.map((f) => f * zoom) as [number, number];
     return { ...this.camera, focal, cameraToWorld: this.pose().clone() };
   }
 
-  /** Turn the orbit, by radians. */
-  turn(right: number, up: number): void {
-    const controls = this.controls as OrbitControls & { rotateLeft(angle: number): void; rotateUp(angle: number): void };
-    controls.rotateLeft(-right);
-    controls.rotateUp(up);
-    controls.update();
+  /** The rig has moved. */
+  moved(): void {
+    this.atCamera = false;
+    this.changed();
   }
 
-  /** Come nearer by a factor above 1, or go farther by one below; an orthographic camera zooms. */
-  approach(factor: number): void {
-    const controls = this.controls as OrbitControls & { dollyIn(scale: number): void };
-    controls.dollyIn(factor);
+  get orthographic(): boolean {
+    return this.camera.projection === "orthographic";
+  }
+
+  /** Radians that a pixel of the page covers in the middle of the picture; of an orthographic camera as if it saw 60 degrees. */
+  get anglePerPixel(): number {
+    return this.orthographic ? Math.PI / 3 / this.size[1] : 1 / (this.camera.focal[1] * this.scale);
+  }
+
+  /** Where the view axis meets the page, in CSS pixels from the top left corner. */
+  get middle(): [number, number] {
+    const { camera, scale, frame } = this;
+    return [frame[0] + camera.centre[0] * scale, frame[1] + camera.centre[1] * scale];
+  }
+
+  /** From the pivot of a stance to what lies at its distance under a point of the page, in CSS pixels from the top left corner. */
+  beside(stance: Stance, [left, top]: readonly [number, number]): Vector3 {
+    const { camera, scale } = this;
+    const depth = this.orthographic ? stance.extent : stance.distance;
+    const [x, y] = [(left - this.middle[0]) / scale, (top - this.middle[1]) / scale];
+    return new Vector3((x * depth) / camera.focal[0], (-y * depth) / camera.focal[1], 0).applyQuaternion(rotationOf(stance));
   }
 
   /** The page's size in CSS pixels. Returns the one before. */
   resize(width: number, height: number): [number, number] {
     const before = this.size;
     this.size = [width, height];
-    this.fitOrbitCameras();
     this.changed();
     return before;
   }
@@ -190,22 +154,7 @@ export class View {
 
   /** Camera-to-world, a rigid transform. */
   pose(): Matrix4 {
-    if (this.atCamera) return this.camera.cameraToWorld;
-    const camera = this.controls.object;
-    camera.updateMatrixWorld();
-    return camera.matrixWorld.clone().setPosition(camera.position.clone().multiplyScalar(this.orbitScale).add(this.centre));
-  }
-
-  /** Give the controls' cameras the field of view of the page: the controls derive from it how far a drag moves. */
-  private fitOrbitCameras(): void {
-    const [width, height] = this.size;
-    const focal = this.camera.focal[1] * this.scale;
-    const { perspective, orthographic } = this.orbitCameras;
-    perspective.fov = (2 * Math.atan(height / (2 * focal)) * 180) / Math.PI;
-    perspective.aspect = width / height;
-    orthographic.right = width / (2 * focal * this.orbitScale);
-    orthographic.top = height / (2 * focal * this.orbitScale);
-    [orthographic.left, orthographic.bottom] = [-orthographic.right, -orthographic.top];
+    return this.atCamera ? this.camera.cameraToWorld : matrixOf(this.rig.now);
   }
 
   private changed(): void {
@@ -218,13 +167,13 @@ export class View {
     const { camera, rendered } = this;
     const [width, height] = this.size;
     const [left, top] = this.frame;
-    const zoom = this.scale * (this.atCamera ? 1 : (this.controls.object as PerspectiveCamera).zoom);
+    const zoom = this.scale * (this.atCamera ? 1 : 1 / this.rig.now.extent);
     const [x, y] = [(2 * camera.focal[0] * zoom) / width, (2 * camera.focal[1] * zoom) / height];
     const shiftX = (2 * (camera.centre[0] * this.scale + left)) / width - 1;
     const shiftY = 1 - (2 * (camera.centre[1] * this.scale + top)) / height;
     rendered.near = camera.near;
     rendered.far = camera.far ?? Number.POSITIVE_INFINITY;
-    const near = Math.max(camera.near, NEAREST * this.orbitScale);
+    const near = Math.max(camera.near, NEAREST * this.rig.size);
     const far = Math.min(rendered.far, DEPTHS * near);
     const depth = far - near;
     if (camera.projection === "orthographic") {

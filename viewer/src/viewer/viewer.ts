@@ -9,20 +9,15 @@ import { loadOptional } from "../load_optional";
 import type { BenchmarkOptions, BenchmarkResult } from "../optional/benchmark";
 import type { CameraPath, PathCamera, PathPlayer, PathState } from "../optional/path";
 import { type GrowthOptions, SnergVolume } from "../volume/volume";
+import { drawCovering } from "./backdrop";
 import { between, eased, wantsLessMotion } from "./flight";
+import { type Mode, Navigation } from "./navigation";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
+import type { OrbitLimits } from "./rig";
 import { rowsOf } from "./shared_view";
-import { type OrbitLimits, View } from "./view";
+import { View } from "./view";
 
 const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
-const KEY_TURN = Math.PI / 36; // radians a key press
-const TURNS: ReadonlyMap<string, [number, number]> = new Map([
-  ["ArrowLeft", [-1, 0]],
-  ["ArrowRight", [1, 0]],
-  ["ArrowUp", [0, 1]],
-  ["ArrowDown", [0, -1]],
-]);
-const KEY_APPROACH = 1.1; // a key press
 const NO_WEBGL =
   "This browser offers no WebGL 2, which renders the scene. Switch on graphics acceleration in its settings, or use a newer browser.";
 const LOST = "The graphics driver was reset and the scene was lost from its memory. Reload the page.";
@@ -49,6 +44,8 @@ export interface ViewerEvents {
   view: ViewerState;
   path: PathState; // somebody plays, stops or moves along the camera path
   error: ViewerError;
+  mode: Mode;
+  said: string; // something that the page should say in words, as the speed of a flight
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
 }
 
@@ -57,6 +54,7 @@ export interface ViewerState {
   atCamera: boolean; // whether the view is still that camera's own
   cameraToWorld: number[][]; // of the view: four rows, Blender's axes
   zoom: number; // of an orthographic camera, from its own
+  mode: Mode;
   frame: [number, number, number, number]; // where the camera's image lies: left, top, width, height in CSS pixels
   path: PathState | null; // null where there is no camera path
 }
@@ -70,6 +68,8 @@ export interface Viewer {
   /** What else the bundle holds; null until there is a picture. */
   readonly bundle: Bundle | null;
   background: Colour;
+  /** A picture that the page shows behind the canvas, which saved pictures have behind the scene. */
+  backdrop: HTMLImageElement | null;
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
@@ -82,8 +82,14 @@ export interface Viewer {
   lookFrom(cameraToWorld: number[][], zoom?: number): void;
   /** The small picture of a camera; null where it has none, or the file does not arrive. */
   thumbnail(index: number): Promise<Blob | null>;
-  /** Turn the orbit, by radians. */
+  /** How hands and keys move the camera. */
+  mode: Mode;
+  /** Turn by radians: an orbit around its pivot, otherwise the camera where it is. */
   turn(right: number, up: number): void;
+  /** Fly or walk on until all are 0: to the right, up and forward, each from -1 to 1. Does nothing in an orbit. */
+  drive(right: number, up: number, forward: number): void;
+  /** Take a key that was pressed; returns whether it means something. */
+  press(event: KeyboardEvent): boolean;
   /** Resolves when the page shows the full image of the view. */
   settled(): Promise<void>;
   /** The picture as a PNG. alpha: without the background. */
@@ -137,6 +143,7 @@ class CanvasViewer implements Viewer {
   readonly ready: Promise<void>;
   cameras: readonly SnergCamera[] = [];
   bundle: Bundle | null = null;
+  backdrop: HTMLImageElement | null = null;
   private readonly webgl: WebGLRenderer;
   private readonly world = new Scene();
   private readonly abort = new AbortController();
@@ -144,6 +151,7 @@ class CanvasViewer implements Viewer {
   private readonly listeners = new Map<string, Set<(event: never) => void>>();
   private renderer: ProgressiveRenderer | null = null;
   private view: View | null = null;
+  private navigation: Navigation | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
   private coarse: SnergScene | null = null; // shown first, and where the scene has not arrived
@@ -174,7 +182,7 @@ class CanvasViewer implements Viewer {
     options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
     this.canvas.addEventListener("webglcontextlost", (event) => this.lose(event));
     this.canvas.addEventListener("webglcontextrestored", () => this.restore());
-    this.canvas.addEventListener("keydown", (event) => this.press(event));
+    this.canvas.addEventListener("keydown", (event) => this.press(event) && event.preventDefault());
     this.canvas.addEventListener("wheel", (event) => this.spareScrolling(event), { capture: true });
     this.ready = this.load();
     this.ready.catch((error: unknown) => this.fail(error));
@@ -279,8 +287,14 @@ class CanvasViewer implements Viewer {
   /** There is something to show: begin to render, and to follow the mouse. */
   private begin(scene: SnergScene): void {
     const { cameras } = this;
-    const view = new View(scene.description, this.canvas, () => this.viewChanged(), this.options.limits);
+    const view = new View(scene.description, () => this.viewChanged(), this.options.limits);
     this.view = view;
+    this.navigation = new Navigation(view, this.canvas, {
+      started: () => this.stop(),
+      mode: (mode) => this.emit("mode", mode),
+      said: (text) => this.emit("said", text),
+      pick: (at) => this.pointAt(at),
+    });
     this.renderer = new ProgressiveRenderer(this.webgl, this.world, view.rendered, (image) =>
       this.emit("image", { ...image, coarse: !this.fine, whole: this.whole }),
     );
@@ -312,12 +326,14 @@ class CanvasViewer implements Viewer {
   get state(): ViewerState {
     const { view } = this;
     const path = this.path?.state ?? null;
-    if (!view) return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, frame: [0, 0, 0, 0], path };
+    if (!view)
+      return { camera: "", atCamera: false, cameraToWorld: rowsOf(new Matrix4()), zoom: 1, mode: this.mode, frame: [0, 0, 0, 0], path };
     return {
       camera: view.camera.name,
       atCamera: view.atCamera && !view.shared,
       cameraToWorld: rowsOf(view.pose()),
       zoom: view.zoom,
+      mode: this.mode,
       frame: view.frame,
       path,
     };
@@ -352,7 +368,7 @@ class CanvasViewer implements Viewer {
   private async fly(target: View["camera"], duration: number, flight: number): Promise<void> {
     const view = this.view as View;
     const from = view.current;
-    const distances = [view.controls.getDistance() * view.orbitScale, view.orbitDistance(target)] as const;
+    const distances = [view.rig.now.distance, view.orbitDistance(target)] as const;
     const began = performance.now();
     for (let part = 0; part < 1 && flight === this.flight; ) {
       part = Math.min(((await nextFrame()) - began) / (1000 * duration), 1);
@@ -398,15 +414,31 @@ class CanvasViewer implements Viewer {
     }
   }
 
+  get mode(): Mode {
+    return this.navigation?.mode ?? "orbit";
+  }
+
+  set mode(mode: Mode) {
+    if (this.navigation) this.navigation.mode = mode;
+  }
+
   turn(right: number, up: number): void {
-    this.stop();
-    this.view?.turn(right, up);
+    this.navigation?.turn(right, up);
+  }
+
+  drive(right: number, up: number, forward: number): void {
+    this.navigation?.drive(right, up, forward);
+  }
+
+  press(event: KeyboardEvent): boolean {
+    return this.navigation?.press(event) ?? false;
   }
 
   async settled(): Promise<void> {
     if (!this.renderer) return this.ready;
     await this.flying;
-    return this.renderer.settled();
+    await this.navigation?.rested();
+    await this.renderer.settled();
   }
 
   async capture({ width, height, alpha = false }: { width?: number; height?: number; alpha?: boolean } = {}): Promise<Blob> {
@@ -418,7 +450,13 @@ class CanvasViewer implements Viewer {
     const pixels = renderer.capture(w, h, alpha ? [0, 0, 0, 0] : this.colour);
     view.resize(...size);
     const canvas = new OffscreenCanvas(w, h);
-    canvas.getContext("2d")?.putImageData(new ImageData(pixels, w, h), 0, 0);
+    const context = canvas.getContext("2d") as OffscreenCanvasRenderingContext2D;
+    const { backdrop } = this;
+    context.putImageData(new ImageData(pixels, w, h), 0, 0);
+    if (backdrop?.naturalWidth && !alpha) {
+      context.globalCompositeOperation = "destination-over";
+      drawCovering(context, backdrop);
+    }
     return canvas.convertToBlob({ type: "image/png" });
   }
 
@@ -474,7 +512,7 @@ class CanvasViewer implements Viewer {
     this.abort.abort(new ViewerError("The viewer was closed."));
     this.observer.disconnect();
     this.renderer?.dispose();
-    this.view?.controls.dispose();
+    this.navigation?.dispose();
     this.webgl.dispose();
     this.canvas.remove();
   }
@@ -495,13 +533,10 @@ class CanvasViewer implements Viewer {
     this.emit("view", this.state);
   }
 
-  private press(event: KeyboardEvent): void {
-    const turn = TURNS.get(event.key);
-    const nearer = event.key === "+" || event.key === "=";
-    if (event.ctrlKey || event.metaKey || event.altKey || (!turn && !nearer && event.key !== "-")) return;
-    if (turn) this.turn(turn[0] * KEY_TURN, turn[1] * KEY_TURN);
-    else this.view?.approach(nearer ? KEY_APPROACH : 1 / KEY_APPROACH);
-    event.preventDefault();
+  /** The point of the scene that is seen at a place of the canvas, in CSS pixels. */
+  private pointAt(at: readonly [number, number]): Vector3 | null {
+    const [found] = this.pick([[...at]]);
+    return found ? new Vector3(...found.position) : null;
   }
 
   /** Inside the frame of another page the wheel scrolls that page, and zooms with Ctrl alone. */
