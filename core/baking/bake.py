@@ -33,7 +33,7 @@ from .visibility import VisibilityStatistics, visible_voxels
 AUTO_SUPERSAMPLING = 0  # BakeSettings.supersampling: measured, see supersampling.py
 MAX_SETTING_SUPERSAMPLING = 64  # points a voxel that may be asked for: bounds the time
 ACCELERATION_BYTES = 2  # bytes a voxel of the acceleration structure of the marcher
-BAKE_VERSION = 2  # part of the key of kept work; raised when the same settings bake something else
+BAKE_VERSION = 3  # part of the key of kept work; raised when the same settings bake something else
 # Settings whose names in files (scene.json, studies, kept work) are older than those here.
 FILE_NAMES = {"supersampling": "samples", "opacity_correction": "fill_holes"}
 SHARES = {"occupancy": 0.25, "visibility": 0.5, "prefilter": 0.98}  # of the progress, at the end of each stage
@@ -162,8 +162,8 @@ def _cull(
     count, visible, statistics = int(count_voxels(mask).sum()), None, None
     if cameras and settings.visibility and len(mask):
         threshold, shown = settings.visibility_threshold, within(tell, end, SHARES["visibility"])
-        seen, statistics = visible_voxels(occupied, voxel_grid, field.ndc, cameras, threshold, cache, shown)
-        mask &= reindex_blocks(seen, occupied.indirection, indirection)
+        seen, statistics = visible_voxels(occupied, indirection, voxel_grid, field.ndc, cameras, threshold, cache, shown)
+        mask &= seen
         visible = int(count_voxels(mask).sum())
     timer.lap("visibility")
     return _Culled(mask, indirection, occupied.opacity_lost, count, visible, statistics)
