@@ -1,8 +1,8 @@
 """Second pass of a bake: the voxels that some camera sees (section 5.3), found by marching the cameras' rays until little light is left.
 
 The rays march a coarse scene of opacity alone, with voxels twice as large: an eighth of the memory and of the work. That is fine enough,
-because the visible voxels are dilated by two voxels anyway. How many rays there are follows from the voxels (visibility_rays.py). The transmittance of a coarse voxel is about the mean of its eight voxels, so
-voxels behind a thin sheet are seen rather than culled.
+because the visible voxels are dilated by two voxels anyway. How many rays there are follows from the voxels (visibility_rays.py). The
+transmittance of a coarse voxel is about the mean of its eight voxels, so voxels behind a thin sheet are seen rather than culled.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class RayGrid:
         """Origins and unit directions [N, 3] of all rays, in bands of rows; in each, tile by tile as the marcher wants them."""
         rows = max(RAYS_PER_BAND // max(self.columns, 1) // TILE, 1) * TILE
         for first in range(0, self.rows if self.columns else 0, rows):
-            points = tiled_pixels(self.columns, min(rows, self.rows - first)) + [0, first]
+            points = tiled_pixels(self.columns, min(rows, self.rows - first)) + np.array([0, first])
             yield self.camera.rays(self.low + (points + 0.5) * self.step - 0.5)
 
 
