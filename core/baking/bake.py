@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.json_files import json_bytes
+from ..io.settings import check_whole
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
@@ -58,11 +60,12 @@ class BakeSettings:
     network: bool = True  # False: a diffuse scene, without view dependence and features
 
     def __post_init__(self) -> None:
-        if self.resolution < 2 or self.resolution > MAX_RESOLUTION:
+        if not (isinstance(self.resolution, Integral) and 2 <= self.resolution <= MAX_RESOLUTION):
             raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {MAX_RESOLUTION}.")
-        if not 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING:
+        check_whole("The seed of a bake", self.seed, 0, 2**63 - 1)
+        if not (isinstance(self.supersampling, Integral) and 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING):
             raise SnergError(
-                f"{self.supersampling} samples a voxel cannot be averaged; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
+                f"Averages of {self.supersampling} samples a voxel cannot be taken; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
                 "or 0 to have the number measured."
             )
         if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,10 @@ class Camera:
     widest: float = math.pi  # of a fisheye: radians from the view axis beyond which its picture shows nothing
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
+        if not all(isinstance(n, Integral) and n >= 1 for n in (self.width, self.height)):
+            raise SnergError(
+                f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be whole numbers of 1 or more."
+            )
         if self.projection not in PROJECTIONS:
             raise SnergError(f"Camera {self.name!r} is {self.projection}; its projection must be one of {', '.join(PROJECTIONS)}.")
         if self.width * self.height > MAX_PIXELS:
