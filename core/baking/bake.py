@@ -215,8 +215,17 @@ def _about(
     if evidence is not None:
         about["samples_measured"] = evidence
     if not blocks:
-        about["warning"] = "The box holds nothing; move it over the object, or train longer."
+        about["warning"] = empty_warning(culled.opacity_lost, settings.alpha_threshold)
     return about
+
+
+def empty_warning(opacity_lost: float, threshold: float) -> str:
+    """Why a bake has no voxels: there is nothing, or fog that is thinner than the threshold of opacity keeps."""
+    if opacity_lost < threshold:
+        return "The box holds nothing; move it over the object, or train longer."
+    return (
+        f"The box holds thin fog alone, at most {100 * opacity_lost:.1f} % opaque, which is left out; lower the alpha threshold to keep it."
+    )
 
 
 def decide_opacity_correction(scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Progress) -> Scene:

@@ -200,6 +200,32 @@ def test_rays_of_visibility_are_cut_to_the_picture_and_to_what_there_is():
     assert np.diff(across).max() <= RAY_SPACING * 0.01 + 1e-8 and across[-1] > 1 - 0.01 and across[0] < 0.01 - 1
 
 
+@pytest.mark.hard_case(71)
+@pytest.mark.parametrize("alpha", [1e-4, 2e-4, 1e-3])
+def test_fog_that_adds_up_over_many_blocks_is_kept(alpha):
+    """A row of a block is 0.3 % opaque at an opacity of 1e-4 a voxel, a row of a thousand voxels 10 %: it must not be called nothing."""
+
+    class Fog(Ball):
+        def query(self, points):
+            return np.full(len(points), alpha * 20, np.float32), np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4))
+
+    box = Box.axis_aligned([-25, -0.4, -0.4], [25, 0.4, 0.4])  # 1000 x 16 x 16 voxels of 0.05
+    scene = bake(Fog(network=None), box, (), BakeSettings(1000, supersampling=1, network=False))
+    assert "warning" not in scene.about["bake"] and scene.about["bake"]["opacity_lost_at_most"] < 0.005
+    origins, directions = np.random.default_rng(0).uniform([-30, -0.3, -0.3], [-30, 0.3, 0.3], (400, 3)), np.tile([1.0, 0, 0], (400, 1))
+    wanted = -np.expm1(1000 * -alpha)
+    assert np.mean(1 - march_rays(scene, origins, directions).transmittance) == pytest.approx(wanted, abs=1.5 / 255)
+
+
+def test_fog_that_is_left_out_is_not_called_nothing():
+    class Fog(Ball):
+        def query(self, points):
+            return np.full(len(points), 0.006, np.float32), np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4))
+
+    scene = bake(Fog(), BOX, (), BakeSettings(90, supersampling=1, network=False))
+    assert "thin fog alone, at most 1.2 % opaque" in scene.about["bake"]["warning"]
+
+
 @pytest.mark.hard_case(48)
 def test_jitter_keeps_the_centroid_and_is_seeded():
     scene = bake(Ball(radius=0.5), BOX, (), BakeSettings(40, supersampling=16))
