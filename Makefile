@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport proof fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -63,6 +63,10 @@ bench-estimate: setup
 # DATASETS="DATASET ...": on which to compare the estimates of the panel's presets with what they take (default: the demo's).
 bench-presets: setup
 	$(PY) bench/presets.py $(if $(PRESETS),--presets "$(PRESETS)") $(DATASETS)
+
+# Every numerical promise on N random scenes (default: 1000); SEED=1: others. Exit status 1 where one does not hold.
+proof: setup
+	$(PY) bench/proof.py --count $(or $(N),1000) --seed $(or $(SEED),0)
 
 # Every reader on N damaged files (default: 5000); SEED=1: others.
 fuzz: setup

@@ -47,7 +47,7 @@ FIRST_PIXELS = 2**15  # most pixels of that picture: two cores march them in les
 class MarchSettings:
     """How a scene is marched. The defaults give an exact picture (to 1e-4) in the least time. Raises SnergError for values out of range."""
 
-    tolerance: float = 1e-4  # largest error of a displayed value, 0 to 1 (see early_termination.py)
+    tolerance: float = 1e-4  # largest error of a displayed value, 0 to 1 (see early_termination.error_bound)
     stop_transmittance: float | None = None  # if given, rays stop below this transmittance, whatever the tolerance
     per_sample_network: bool = False  # view dependence at every sample instead of once a pixel (ablation of table 1)
     batch: int = 24576  # rays marched together in a thread: what fits the processor's caches

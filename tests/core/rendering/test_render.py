@@ -15,6 +15,7 @@ from scenes import (
     make_forward_cameras,
     make_snerg,
     random_network,
+    random_scene,
     rotation,
     snerg_from_volume,
 )
@@ -24,10 +25,9 @@ from snerg.core.geometry.distortion import Distortion
 from snerg.core.nerf.frame import Composited
 from snerg.core.nerf.model import ViewNetwork, view_residual
 from snerg.core.rendering.acceleration import acceleration_of, chebyshev_distance
-from snerg.core.rendering.early_termination import premultiplied_excess, residual_bound, stop_transmittance_for
+from snerg.core.rendering.early_termination import error_bound, premultiplied_excess, residual_bound, stop_transmittance_for
 from snerg.core.rendering.opacity import correct_opacity
 from snerg.core.rendering.render import FIRST_PIXELS, MarchSettings, march_rays, render_progressively, render_scene, tiled_pixels
-from snerg.core.scene.scene import Scene
 
 ANGLES = (0.4, -0.3, 0.8)
 CENTRE = (0.3, -0.2, 0.1)
@@ -139,7 +139,9 @@ def test_a_network_that_amplifies_rounding_stays_within_the_tolerance(seed, scal
     scene = random_scene(draw, diffuse=False, opacity_correction=seed % 2 == 0, above=False)
     scene = replace(scene, network=ViewNetwork(*(np.float32(scale) * a for a in scene.network)))
     for camera in make_cameras(size=2.0, width=24, height=18):
-        assert np.abs(render_scene(scene, camera).over() - dense_march(scene, camera).over()).max() < MarchSettings().tolerance
+        assert np.abs(render_scene(scene, camera).over() - dense_march(scene, camera).over()).max() < error_bound(
+            MarchSettings().tolerance, scene
+        )
 
 
 @pytest.mark.hard_case(33, 34)
@@ -291,22 +293,6 @@ def test_the_network_at_every_sample():
         assert np.abs(got.over() - truth.over()).max() < 1e-4
         assert np.abs(got.over() - render_scene(scene, camera).over()).max() > 0.005
         assert np.abs(got.alpha - render_scene(scene, camera).alpha).max() < 1e-4
-
-
-def random_scene(draw: np.random.Generator, diffuse: bool, opacity_correction: bool, above: bool) -> Scene:
-    """Fog, clumps and holes; colours above their opacity where asked for."""
-    shape = tuple(int(n) for n in draw.integers(20, 50, 3))
-    alpha = draw.integers(0, 256, shape) * (draw.random(shape) < draw.choice([0.03, 0.3, 1.0])) * draw.choice([0.1, 1.0])
-    values = np.rint(draw.random((*shape, 8)) * alpha[..., None]).astype(np.uint8)
-    values[..., 7] = alpha
-    if above:
-        values[..., :7] = np.where(alpha[..., None] > 0, np.minimum(values[..., :7] + draw.integers(0, 2, (*shape, 7)), 255), 0)
-    pose = np.eye(4)
-    pose[:3, :3] = rotation(tuple(draw.normal(0, 1, 3)))
-    pose[:3, 3] = -pose[:3, :3] @ (np.array(shape) / 2) / 25
-    network = None if diffuse else random_network(int(draw.integers(1000)))
-    values = values[..., [0, 1, 2, 7]] if diffuse else values
-    return snerg_from_volume(values, network, grid_to_world=pose, voxel_size=1 / 25, opacity_correction=opacity_correction)
 
 
 @pytest.mark.parametrize("seed", range(12))
