@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.json_files import json_bytes
-from ..io.settings import check_whole
+from ..io.settings import check_whole, is_whole
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
@@ -60,10 +59,10 @@ class BakeSettings:
     network: bool = True  # False: a diffuse scene, without view dependence and features
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.resolution, Integral) and 2 <= self.resolution <= MAX_RESOLUTION):
+        if not (is_whole(self.resolution) and 2 <= self.resolution <= MAX_RESOLUTION):
             raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {MAX_RESOLUTION}.")
         check_whole("The seed of a bake", self.seed, 0, 2**63 - 1)
-        if not (isinstance(self.supersampling, Integral) and 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING):
+        if not (is_whole(self.supersampling) and 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING):
             raise SnergError(
                 f"Averages of {self.supersampling} samples a voxel cannot be taken; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
                 "or 0 to have the number measured."

@@ -77,10 +77,10 @@ def _pixels_per_unit(camera: Camera, occupied: Box, ndc: Ndc | None) -> NDArray[
     if camera.projection == "orthographic":
         return focal
     if ndc is not None:  # independent of depth for a camera at the origin of the NDC, about the same for cameras near it
-        return focal / np.array(ndc.focal)
+        return np.asarray(focal / np.array(ndc.focal))
     corners = occupied.corners()
     if camera.is_wide or camera.distortion is not None:
         farthest = float(np.linalg.norm(corners - camera.position, axis=-1).max())
     else:
         farthest = float(camera.project(corners)[1].max())
-    return focal / max(farthest, 1e-12)
+    return np.asarray(focal / max(farthest, 1e-12))

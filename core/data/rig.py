@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera, focal_from_angle
 from ..io.schema import FAR
-from ..io.settings import check_number
+from ..io.settings import check_number, is_whole
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 MIN_ELEVATION_SINE = 0.02  # of a camera in a hemisphere, so that none looks exactly along the ground
@@ -32,7 +31,7 @@ class RigSettings:
     distance: float = 0.0  # from the box's centre, world units; 0: the smallest at which the whole box is visible
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.count, Integral) and self.count >= 1):
+        if not (is_whole(self.count) and self.count >= 1):
             raise SnergError(f"The rig has {self.count} cameras; it needs at least 1.")
         check_number("The field of view of the rig's cameras, in radians,", self.angle, 0, math.pi)
         check_number("The distance of the rig's cameras", self.distance, 0, FAR)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.guard import why
 from ..io.schema import FAR, text
+from ..io.settings import is_whole
 from . import wide
 from .distortion import MAX_ANGLE, Distortion
 
@@ -45,7 +45,7 @@ class Camera:
     widest: float = math.pi  # of a fisheye: radians from the view axis beyond which its picture shows nothing
 
     def __post_init__(self) -> None:
-        if not all(isinstance(n, Integral) and n >= 1 for n in (self.width, self.height)):
+        if not all(is_whole(n) and n >= 1 for n in (self.width, self.height)):
             raise SnergError(
                 f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be whole numbers of 1 or more."
             )

@@ -11,9 +11,14 @@ from ..errors import SnergError
 from .schema import shown
 
 
+def is_whole(value: Any) -> bool:
+    """Whether a value is a whole number: an int or one of NumPy's."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 def check_whole(what: str, value: Any, least: int, most: int) -> None:
     """Raise SnergError unless a value is a whole number from `least` to `most`. what: its name, with which the sentence begins."""
-    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or not least <= int(value) <= most:
+    if not is_whole(value) or not least <= int(value) <= most:
         raise SnergError(f"{what} is {shown(value)}; choose a whole number from {least} to {most}.")
 
 

@@ -217,8 +217,9 @@ class _March:
         values, transmittance = self.output.values, self.output.transmittance
         depth = values[:, -1] + (1 - transmittance) * self.start
         depth *= depth.dtype.type(self.scene.voxel_size)
-        parts = (part.astype(np.float32, copy=False) for part in (values[:, :3], values[:, 3:-1], transmittance, depth))
-        rays = Composited(*parts, samples)
+        colour, features = values[:, :3].astype(np.float32, copy=False), values[:, 3:-1].astype(np.float32, copy=False)
+        transmittance, depth = transmittance.astype(np.float32, copy=False), depth.astype(np.float32, copy=False)
+        rays = Composited(colour, features, transmittance, depth, samples)
         return correct_opacity(rays) if self.scene.opacity_correction else rays
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from numbers import Integral
 
 from ..errors import SnergError
-from ..io.settings import check_whole
+from ..io.settings import check_whole, is_whole
 from ..nerf.model import VIEW_DEGREES, VIEWS, HashModelConfig, MlpModelConfig, ModelConfig
 
 MOST_BYTES = 2**31  # of one array of a step; a slip of the finger asks for more
@@ -109,7 +108,7 @@ class TrainSettings:
                 _within(name, getattr(self, name), 1e-12, 1e12)
         if not (0 < self.final_rate <= self.rate and math.isfinite(self.rate)):
             raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, and it must not rise.")
-        if self.steps is not None and not (isinstance(self.steps, Integral) and self.steps >= 1):
+        if self.steps is not None and not (is_whole(self.steps) and self.steps >= 1):
             raise SnergError(f"Training for {self.steps} steps trains nothing; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds trains nothing; give a time above 0, or steps.")
