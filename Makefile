@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport proof fuzz test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -67,6 +67,10 @@ bench-presets: setup
 # ROWS="VIEWSxSAMPLESxPIXELS ...": how the demo's scene is rendered. SECONDS=150: from its cameras to its page, of each row.
 bench-page: setup
 	$(PY) bench/page.py $(if $(SECONDS),--seconds $(SECONDS)) $(if $(RESOLUTION),--resolution $(RESOLUTION)) $(ROWS)
+
+# Every numerical promise on N random scenes (default: 1000); SEED=1: others. Exit status 1 where one does not hold.
+proof: setup
+	$(PY) bench/proof.py --count $(or $(N),1000) --seed $(or $(SEED),0)
 
 # Every reader on N damaged files (default: 5000); SEED=1: others.
 fuzz: setup

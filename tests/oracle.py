@@ -184,4 +184,5 @@ def residual(scene: Scene, colour: np.ndarray, features: np.ndarray, directions:
     x = np.concatenate([directions, *waves, colour, features], axis=-1)
     x = np.maximum(x @ network[0] + network[1], 0)
     x = np.maximum(x @ network[2] + network[3], 0)
-    return 1 / (1 + np.exp(-(x @ network[4] + network[5])))
+    with np.errstate(over="ignore"):  # of a strong network: 1 / (1 + inf) is 0, as it should be
+        return 1 / (1 + np.exp(-(x @ network[4] + network[5])))

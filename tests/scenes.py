@@ -120,6 +120,23 @@ def empty_snerg(shape: tuple[int, int, int] = (40, 30, 20)) -> Scene:
     return snerg_from_volume(np.zeros((*shape, 4), np.uint8), None, grid_to_world=pose, voxel_size=0.05)
 
 
+def random_scene(draw: np.random.Generator, diffuse: bool, opacity_correction: bool, above: bool) -> Scene:
+    """Fog, clumps and holes; colours above their opacity where asked for."""
+    shape = tuple(int(n) for n in draw.integers(20, 50, 3))
+    alpha = draw.integers(0, 256, shape) * (draw.random(shape) < draw.choice([0.03, 0.3, 1.0])) * draw.choice([0.1, 1.0])
+    alpha = np.floor(alpha)  # a voxel without opacity has no colour either
+    values = np.rint(draw.random((*shape, 8)) * alpha[..., None]).astype(np.uint8)
+    values[..., 7] = alpha
+    if above:
+        values[..., :7] = np.where(alpha[..., None] > 0, np.minimum(values[..., :7] + draw.integers(0, 2, (*shape, 7)), 255), 0)
+    pose = np.eye(4)
+    pose[:3, :3] = rotation(tuple(draw.normal(0, 1, 3)))
+    pose[:3, 3] = -pose[:3, :3] @ (np.array(shape) / 2) / 25
+    network = None if diffuse else random_network(int(draw.integers(1000)))
+    values = values[..., [0, 1, 2, 7]] if diffuse else values
+    return snerg_from_volume(values, network, grid_to_world=pose, voxel_size=1 / 25, opacity_correction=opacity_correction)
+
+
 def looking(eye: tuple[float, float, float], target: tuple[float, float, float], roll: float = 0.0) -> np.ndarray:
     """[4, 4] camera-to-world at `eye`, looking at `target`, z up, turned by `roll` radians about its axis."""
     back = np.subtract(eye, target).astype(np.float64)

@@ -15,6 +15,7 @@ from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..io.json_files import json_bytes
+from ..io.settings import check_whole, is_whole
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
 from ..progress import Progress, silent, within
@@ -33,7 +34,7 @@ from .visibility import VisibilityStatistics, visible_voxels
 AUTO_SUPERSAMPLING = 0  # BakeSettings.supersampling: measured, see supersampling.py
 MAX_SETTING_SUPERSAMPLING = 64  # points a voxel that may be asked for: bounds the time
 ACCELERATION_BYTES = 2  # bytes a voxel of the acceleration structure of the marcher
-BAKE_VERSION = 2  # part of the key of kept work; raised when the same settings bake something else
+BAKE_VERSION = 3  # part of the key of kept work; raised when the same settings bake something else
 # Settings whose names in files (scene.json, studies, kept work) are older than those here.
 FILE_NAMES = {"supersampling": "samples", "opacity_correction": "fill_holes"}
 SHARES = {"occupancy": 0.25, "visibility": 0.5, "prefilter": 0.98}  # of the progress, at the end of each stage
@@ -58,11 +59,12 @@ class BakeSettings:
     network: bool = True  # False: a diffuse scene, without view dependence and features
 
     def __post_init__(self) -> None:
-        if self.resolution < 2 or self.resolution > MAX_RESOLUTION:
+        if not (is_whole(self.resolution) and 2 <= self.resolution <= MAX_RESOLUTION):
             raise SnergError(f"A resolution of {self.resolution} voxels cannot be baked; choose 2 to {MAX_RESOLUTION}.")
-        if not 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING:
+        check_whole("The seed of a bake", self.seed, 0, 2**63 - 1)
+        if not (is_whole(self.supersampling) and 0 <= self.supersampling <= MAX_SETTING_SUPERSAMPLING):
             raise SnergError(
-                f"{self.supersampling} samples a voxel cannot be averaged; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
+                f"Averages of {self.supersampling} samples a voxel cannot be taken; choose 1 to {MAX_SETTING_SUPERSAMPLING}, "
                 "or 0 to have the number measured."
             )
         if self.voxel_size is not None and not 0 < self.voxel_size < np.inf:
@@ -162,8 +164,8 @@ def _cull(
     count, visible, statistics = int(count_voxels(mask).sum()), None, None
     if cameras and settings.visibility and len(mask):
         threshold, shown = settings.visibility_threshold, within(tell, end, SHARES["visibility"])
-        seen, statistics = visible_voxels(occupied, voxel_grid, field.ndc, cameras, threshold, cache, shown)
-        mask &= reindex_blocks(seen, occupied.indirection, indirection)
+        seen, statistics = visible_voxels(occupied, indirection, voxel_grid, field.ndc, cameras, threshold, cache, shown)
+        mask &= seen
         visible = int(count_voxels(mask).sum())
     timer.lap("visibility")
     return _Culled(mask, indirection, occupied.opacity_lost, count, visible, statistics)
@@ -212,8 +214,17 @@ def _about(
     if evidence is not None:
         about["samples_measured"] = evidence
     if not blocks:
-        about["warning"] = "The box holds nothing; move it over the object, or train longer."
+        about["warning"] = empty_warning(culled.opacity_lost, settings.alpha_threshold)
     return about
+
+
+def empty_warning(opacity_lost: float, threshold: float) -> str:
+    """Why a bake has no voxels: there is nothing, or fog that is thinner than the threshold of opacity keeps."""
+    if opacity_lost < threshold:
+        return "The box holds nothing; move it over the object, or train longer."
+    return (
+        f"The box holds thin fog alone, at most {100 * opacity_lost:.1f} % opaque, which is left out; lower the alpha threshold to keep it."
+    )
 
 
 def decide_opacity_correction(scene: Scene, field: Field, cameras: Sequence[Camera], settings: BakeSettings, tell: Progress) -> Scene:

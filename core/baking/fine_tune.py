@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..data.dataset import Dataset
 from ..errors import SnergError
 from ..io.images import over
+from ..io.settings import check_colour, check_number, check_whole
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import ViewNetwork, as_numpy, view_residual
 from ..progress import Progress, silent, within
@@ -32,7 +33,7 @@ FINAL_RATE = 0.1  # learning rate at the end, as a share of that at the start
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """How the network is fine-tuned."""
+    """How the network is fine-tuned. Raises SnergError for values out of range."""
 
     pixels: int = 250_000  # of all training views; four times as many gain 0.02 dB more and take three times as long
     batch: int = 8192  # pixels a step
@@ -41,6 +42,15 @@ class RefineSettings:
     patience: int = 4  # epochs without a gain after which it stops
     seed: int = 0  # of the choice of pixels and their order
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which the field was trained
+
+    def __post_init__(self) -> None:
+        for name in ("pixels", "batch"):
+            check_whole(f"The number of fine-tuning's {name}", getattr(self, name), 1, 2**40)
+        check_number("The learning rate of fine-tuning", self.rate, 1e-12, 1e3)
+        check_whole("The number of fine-tuning's epochs", self.epochs, 0, 2**31)
+        check_whole("The patience of fine-tuning", self.patience, 1, 2**31)
+        check_whole("The seed of fine-tuning", self.seed, 0, 2**63 - 1)
+        check_colour("The background of fine-tuning", self.background)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..data.dataset import Dataset
 from ..errors import SnergError
+from ..io.settings import check_colour, check_number, check_whole
 from ..nerf.frame import NETWORK_TRANSMITTANCE
 from ..nerf.model import ViewNetwork, as_numpy, view_residual
 from ..progress import Progress, silent, within
@@ -39,7 +40,7 @@ MAX_ALPHA = 0.9999  # of a sample, whose logarithm of transmittance must be fini
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How voxels are fitted."""
+    """How voxels are fitted. Raises SnergError for values out of range."""
 
     pixels: int = FIT_PIXELS  # of all training views, of which those that hit the scene are fitted to
     rays: int = FIT_RAYS  # in all passes together, at most
@@ -52,6 +53,14 @@ class FitSettings:
     patience: int = 4  # evaluations without a gain after which it stops; on fine grids most is gained when the rate is low
     seed: int = 0  # of the choice of pixels and their order
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB in [0, 1] over which images with alpha are fitted
+
+    def __post_init__(self) -> None:
+        for name in ("pixels", "rays", "passes", "batch", "evaluations", "patience"):
+            check_whole(f"The fit's setting {name}", getattr(self, name), 1, 2**40)
+        for name in ("rate", "network_rate", "final_rate"):
+            check_number(f"The fit's setting {name}", getattr(self, name), 0, 1e3)
+        check_whole("The seed of the fit", self.seed, 0, 2**63 - 1)
+        check_colour("The background of the fit", self.background)
 
 
 class Fitted(NamedTuple):

@@ -19,6 +19,9 @@ BLOCKS_PER_CHUNK = 8  # blocks evaluated together: a part of the work that is ke
 # Optical depth of a voxel's length up to which the voxel is faint, and dropped unless many faint ones add up along a row.
 FAINT_DEPTH = np.float32(1 / 1024)
 ZERO_DEPTH = np.float32(1e-6)  # optical depth up to which a voxel is empty even in fog
+# Opacity, lost along a whole row of the grid, from which blocks that are faint on their own are kept: fog. What a trained field loses
+# is haze outside of objects, and less (Lego: 0.037).
+MAX_LOST = 0.05
 CELL_MARGIN = 1e-3  # voxels by which an occupancy cell is enlarged before its blocks are found: more than rounding
 
 
@@ -39,20 +42,33 @@ def find_occupied_voxels(
 
     threshold: opacity that must add up along some row of 30 voxels for a block, or its faint voxels, to be kept. A threshold for each voxel
     alone would depend on the voxel's size: a hundred voxels of opacity just under 0.005 are 39 % opaque (hard case 52).
+    Where more than MAX_LOST is lost along a row of the whole grid, thin fog that fills many blocks, the threshold holds for that row:
+    each of its blocks may lose its share.
     tell: called with the fraction done.
     """
+    threshold_depth = -float(np.log1p(-threshold))
+    found = _find(field, voxel_grid, threshold_depth, "occupancy", cache, tell)
+    if found.opacity_lost <= MAX_LOST:
+        return found
+    return _find(field, voxel_grid, threshold_depth / max(voxel_grid.blocks), "fog", cache, tell)
+
+
+def _find(
+    field: Field, voxel_grid: VoxelGrid, threshold_depth: float, stage: str, cache: ResumeCache, tell: Callable[[float], None]
+) -> OccupiedVoxels:
+    """`find_occupied_voxels` with the optical depth that must add up along a row of a block. stage: the name of the work in the cache."""
     candidates = np.argwhere(candidate_blocks(field, voxel_grid))
 
     def chunk(part: int) -> NDArray[Any]:
         return candidates[part * BLOCKS_PER_CHUNK : (part + 1) * BLOCKS_PER_CHUNK]
 
     def work(part: int) -> Arrays:
-        return cull_faint(block_optical_depth(field, voxel_grid, chunk(part)), -np.log1p(-threshold))
+        return cull_faint(block_optical_depth(field, voxel_grid, chunk(part)), threshold_depth)
 
     def is_valid(part: int, arrays: Arrays) -> bool:
         return _is_culled_chunk(arrays, len(chunk(part)))
 
-    found = dict(run_parts("occupancy", -(-len(candidates) // BLOCKS_PER_CHUNK), work, cache, tell, is_valid))
+    found = dict(run_parts(stage, -(-len(candidates) // BLOCKS_PER_CHUNK), work, cache, tell, is_valid))
     full = _concatenate(found, "full", np.zeros(0, bool))
     occupied = np.zeros(voxel_grid.blocks, bool)
     occupied[tuple(candidates[full].T)] = True

@@ -1,8 +1,8 @@
 """Second pass of a bake: the voxels that some camera sees (section 5.3), found by marching the cameras' rays until little light is left.
 
 The rays march a coarse scene of opacity alone, with voxels twice as large: an eighth of the memory and of the work. That is fine enough,
-because the visible voxels are dilated by two voxels anyway. The transmittance of a coarse voxel is about the mean of its eight voxels, so
-voxels behind a thin sheet are seen rather than culled.
+because the visible voxels are dilated by two voxels anyway. How many rays there are follows from the voxels (visibility_rays.py). The
+transmittance of a coarse voxel is about the mean of its eight voxels, so voxels behind a thin sheet are seen rather than culled.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..geometry.camera import Camera
 from ..geometry.ndc import Ndc
 from ..nerf.frame import Composited
 from ..progress import Progress
-from ..rendering.render import MarchSettings, march_rays, tiled_pixels
+from ..rendering.render import MarchSettings, march_rays
 from ..scene.blocks import (
     BLOCKS_PER_CHUNK,
     CELL_VOXELS,
@@ -35,10 +35,11 @@ from ..scene.scene import Scene
 from ..scene.voxel_grid import VoxelGrid
 from .occupied_voxels import OccupiedVoxels
 from .resume import Arrays, ResumeCache, arrays_match
+from .visibility_rays import ray_grid
 
 HALF = DATA_VOXELS // 2  # coarse voxels along a block
+STENCIL = 2  # voxels beyond the occupied ones that a stencil of the coarse scene reaches
 HIT_TRANSMITTANCE = 0.99  # a ray with a lower transmittance has hit something
-PIXELS_PER_VOXEL = 0.5  # pixels along a voxel of the coarse scene, in its middle: rays lie two voxels apart, and dilation fills the gaps
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class VisibilityStatistics:
 
 def visible_voxels(
     occupied: OccupiedVoxels,
+    indirection: NDArray[Any],
     voxel_grid: VoxelGrid,
     ndc: Ndc | None,
     cameras: Sequence[Camera],
@@ -72,9 +74,12 @@ def visible_voxels(
 ) -> tuple[NDArray[Any], VisibilityStatistics]:
     """Voxels that a ray of some camera reaches with a transmittance of at least `threshold`, dilated by two voxels.
 
-    Returns a mask uint32 [M, 30, 30] of the blocks of `occupied` (see scene/blocks.py), and statistics of the rays.
+    indirection: int32 [bx, by, bz], the numbered blocks, which contain those of `occupied` and the neighbours that their voxels reach.
+    Returns a mask uint32 [M, 30, 30] of these blocks (see scene/blocks.py), and statistics of the rays.
     """
-    scene = coarse_opacity_scene(occupied, voxel_grid.halved(), ndc)
+    scene = coarse_opacity_scene(occupied, indirection, voxel_grid.halved(), ndc)
+    blocks = np.argwhere(occupied.indirection >= 0)
+    around = voxel_grid.box_of(blocks.min(axis=0) * DATA_VOXELS - STENCIL, (blocks.max(axis=0) + 1) * DATA_VOXELS + STENCIL)
     first, visited, statistics = _resume(cache, len(scene.cells) * CELL_VOXELS**3, len(cameras))
     settings = MarchSettings(stop_transmittance=threshold)
     for index in range(first, len(cameras)):
@@ -83,16 +88,15 @@ def visible_voxels(
         def tell(fraction: float, _: str, index: int = index, what: str = what) -> None:
             progress((index + fraction) / len(cameras), what)
 
-        coarse = visibility_camera(camera, scene)
-        origins, directions = coarse.rays(tiled_pixels(coarse.width, coarse.height))
-        rays = march_rays(scene, origins, directions, settings, tell, camera.near, visited)
-        statistics = statistics.with_rays(rays, threshold)
+        for origins, directions in ray_grid(camera, around, scene.voxel_size, ndc).bands():
+            rays = march_rays(scene, origins, directions, settings, tell, camera.near, visited)
+            statistics = statistics.with_rays(rays, threshold)
         tell(1.0, "")
         if cache.due or index + 1 == len(cameras):
             cache.add("visibility", index + 1, {"visited": np.packbits(visited), "light": np.array(astuple(statistics))})
             cache.flush()
     own = visited.reshape(-1, *(CELL_VOXELS,) * 3)[:, 1:-1, 1:-1, 1:-1]
-    return refine_mask(dilate(pack_mask(own), scene.indirection), scene.indirection, occupied.indirection), statistics
+    return refine_mask(dilate(pack_mask(own), scene.indirection), scene.indirection, indirection), statistics
 
 
 def _resume(cache: ResumeCache, voxels: int, cameras: int) -> tuple[int, NDArray[Any], VisibilityStatistics]:
@@ -110,12 +114,15 @@ def _resume(cache: ResumeCache, voxels: int, cameras: int) -> tuple[int, NDArray
     return first, visited, statistics
 
 
-def coarse_opacity_scene(occupied: OccupiedVoxels, voxel_grid: VoxelGrid, ndc: Ndc | None) -> Scene:
-    """A scene of opacity alone on a grid of half the resolution. Faint voxels are kept in it, so that fog adds up."""
-    coordinates = block_coordinates(occupied.indirection)
+def coarse_opacity_scene(occupied: OccupiedVoxels, fine: NDArray[Any], voxel_grid: VoxelGrid, ndc: Ndc | None) -> Scene:
+    """A scene of opacity alone on a grid of half the resolution, with cells for the numbered blocks of `fine`, int32 [bx, by, bz].
+
+    Faint voxels are kept in it, so that fog adds up.
+    """
     used = np.zeros(voxel_grid.blocks, bool)
-    used[tuple((coordinates // 2).T)] = True
+    used[tuple((np.argwhere(fine >= 0) // 2).T)] = True
     indirection = number_blocks(used)
+    coordinates = block_coordinates(occupied.indirection)
     cells = np.zeros((int(used.sum()), *(CELL_VOXELS,) * 3, 4), np.uint8)
     for octant, rows in octants(coordinates):
         part = tuple(slice(1 + HALF * o, 1 + HALF * (o + 1)) for o in octant)
@@ -145,19 +152,3 @@ def refine_mask(mask: NDArray[Any], coarse: NDArray[Any], fine: NDArray[Any]) ->
 def octants(coordinates: NDArray[Any]) -> list[tuple[tuple[int, ...], NDArray[Any]]]:
     """For each octant of a coarse block, (0 or 1 along each axis): the rows of those fine blocks [M, 3] that fill this octant of theirs."""
     return [(octant, np.flatnonzero((coordinates % 2 == octant).all(axis=-1))) for octant in product((0, 1), repeat=3)]
-
-
-def visibility_camera(camera: Camera, scene: Scene) -> Camera:
-    """The camera with fewer pixels, PIXELS_PER_VOXEL to a voxel in the middle of the scene; never with more than it has."""
-    scale = min(1.0, PIXELS_PER_VOXEL / (pixels_per_unit(camera, scene) * scene.voxel_size))
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-
-
-def pixels_per_unit(camera: Camera, scene: Scene) -> float:
-    """Pixels of a camera along a length of 1 in the middle of a scene, in units of the scene's grid (see Scene.ndc)."""
-    if camera.projection == "orthographic":
-        return max(camera.focal)
-    if scene.ndc is not None:  # independent of depth for a camera at the origin of the NDC, about the same for cameras near it
-        return max(mine / frame for mine, frame in zip(camera.focal, scene.ndc.focal, strict=True))
-    box = scene.box
-    return max(camera.focal) / max(float(np.linalg.norm(camera.position - box.box_to_world[:3, 3])), float(box.size.max()) / 4)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..geometry.box import Box
 from ..geometry.camera import Camera, focal_from_angle
+from ..io.schema import FAR
+from ..io.settings import check_number, is_whole
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))
 MIN_ELEVATION_SINE = 0.02  # of a camera in a hemisphere, so that none looks exactly along the ground
@@ -21,12 +23,18 @@ MARGIN = 1.05  # distance relative to that at which the box's circumscribed sphe
 
 @dataclass(frozen=True)
 class RigSettings:
-    """The number and the arrangement of a rig's cameras."""
+    """The number and the arrangement of a rig's cameras. Raises SnergError for values that no rig has."""
 
     count: int = 100  # cameras
     hemisphere: bool = True  # only above the box's centre (world z up), else on the whole sphere
     angle: float = math.radians(40)  # field of view across the image's shorter side, radians
     distance: float = 0.0  # from the box's centre, world units; 0: the smallest at which the whole box is visible
+
+    def __post_init__(self) -> None:
+        if not (is_whole(self.count) and self.count >= 1):
+            raise SnergError(f"The rig has {self.count} cameras; it needs at least 1.")
+        check_number("The field of view of the rig's cameras, in radians,", self.angle, 0, math.pi)
+        check_number("The distance of the rig's cameras", self.distance, 0, FAR)
 
 
 def directions(count: int, hemisphere: bool) -> NDArray[Any]:

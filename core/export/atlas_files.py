@@ -147,6 +147,11 @@ def read_float_cells(path: Path, shape: tuple[int, ...]) -> NDArray[Any]:
         if mapped.shape != shape or mapped.dtype != np.float32:
             raise ValueError(f"it is {mapped.shape} {mapped.dtype}, not {shape} float32")
         cells = np.array(mapped)
-    if not (cells.min(initial=0) >= 0 and cells.max(initial=0) <= 1):  # this form refuses NaN too
-        raise SnergError(f"{path} holds values outside 0 to 1; export the scene again.")
+    check_float_cells(cells, str(path), "export the scene again")
     return cells
+
+
+def check_float_cells(cells: NDArray[Any], where: str, advice: str) -> None:
+    """Raise SnergError, which begins with `where`, when float cells hold NaN or a value outside [0, 1]: a march of them gives nonsense."""
+    if not (cells.min(initial=0) >= 0 and cells.max(initial=0) <= 1):  # this form refuses NaN too
+        raise SnergError(f"{where} holds values outside 0 to 1, or that are no numbers; {advice}.")

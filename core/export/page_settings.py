@@ -46,7 +46,7 @@ class PageSettings:
             raise SnergError(f"There is no way to move {self.mode!r}; choose from {', '.join(MODES)}.")
         if self.address and not self.address.startswith(("http://", "https://")):
             raise SnergError(f"{self.address} is not the address of a page; it begins with https:// or http://.")
-        if self.distance is not None and not 0 < self.distance[0] <= self.distance[1]:
+        if self.distance is not None and not 0 < self.distance[0] <= self.distance[1] < float("inf"):
             raise SnergError(f"The orbit's distances are {pair(self.distance)}; give two above 0, the smaller one first.")
         if self.elevation is not None and not -90 <= self.elevation[0] <= self.elevation[1] <= 90:
             raise SnergError(f"The orbit's elevations are {pair(self.elevation)}; give two from -90 to 90, the smaller one first.")

@@ -24,7 +24,7 @@ from ..progress import Progress, silent, within
 from ..scene.blocks import CELL_VOXELS
 from ..scene.scene import Scene, blocks_of
 from .atlas import MAX_ATLAS_CELLS
-from .atlas_files import atlas_file_names, read_atlas, read_float_cells, write_atlas
+from .atlas_files import atlas_file_names, check_float_cells, read_atlas, read_float_cells, write_atlas
 from .codecs import PNG, CodecSettings
 from .image_files import read_image_file
 from .scene_json import (
@@ -60,6 +60,8 @@ def write_scene_files(
     SnergError as `write_scene` does.
     """
     check_storable(scene.quantised, codec)
+    if not scene.quantised:
+        check_float_cells(scene.cells, "The scene's atlas", "bake it again")
     (folder / "scene.json").write_bytes(json_bytes(scene_json(scene, codec, alternatives)))
     (folder / "indirection.png").write_bytes(png_bytes(indirection_image(scene.indirection)))
     if not scene.quantised:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.guard import why
 from ..io.schema import FAR, text
+from ..io.settings import is_whole
 from . import wide
 from .distortion import MAX_ANGLE, Distortion
 
@@ -44,8 +45,10 @@ class Camera:
     widest: float = math.pi  # of a fisheye: radians from the view axis beyond which its picture shows nothing
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise SnergError(f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be 1 or more.")
+        if not all(is_whole(n) and n >= 1 for n in (self.width, self.height)):
+            raise SnergError(
+                f"Camera {self.name!r} has a picture of {self.width} x {self.height} pixels; both must be whole numbers of 1 or more."
+            )
         if self.projection not in PROJECTIONS:
             raise SnergError(f"Camera {self.name!r} is {self.projection}; its projection must be one of {', '.join(PROJECTIONS)}.")
         if self.width * self.height > MAX_PIXELS:

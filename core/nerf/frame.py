@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from .model import ViewNetwork, view_residual
 
 NETWORK_TRANSMITTANCE = 254 / 255  # the network runs where the transmittance is at most this: alpha of one 8-bit level (hard case 43)
+# Amplification (see there) by a network from which it is evaluated in double precision. Trained networks stay below 100; at 1000 single
+# precision is off by about 1e-5.
+MAX_SINGLE_AMPLIFICATION = 1000.0
 STACK = 128  # rays in one matrix product of the network
 
 
@@ -77,10 +80,19 @@ def residual(network: ViewNetwork, colour: NDArray[Any], features: NDArray[Any],
     colour: [N, 3] over white; features: [N, 4]; directions: [N, 3] unit.
     """
     count = len(colour)
+    kind = np.float32 if amplification(network) <= MAX_SINGLE_AMPLIFICATION else np.float64
+    network = ViewNetwork(*(np.asarray(array, kind) for array in network))
 
     def stacked(values: NDArray[Any]) -> NDArray[Any]:
-        whole = np.empty((-(-count // STACK) * STACK, values.shape[-1]), np.float32)
+        whole = np.empty((-(-count // STACK) * STACK, values.shape[-1]), kind)
         whole[:count], whole[count:] = values, 0
         return whole.reshape(-1, STACK, values.shape[-1])
 
-    return np.asarray(view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count])
+    found = view_residual(np, network, stacked(colour), stacked(features), stacked(directions)).reshape(-1, 3)[:count]
+    return np.asarray(found, np.float32)
+
+
+def amplification(network: ViewNetwork) -> float:
+    """An upper bound on the ratio of a change of the residual to the largest change of an input: the product of the layers' norms."""
+    kernels = (np.asarray(a, np.float64) for a in (network.weights_0, network.weights_1, network.weights_2))
+    return float(np.prod([np.abs(kernel).sum(axis=0).max() for kernel in kernels])) / 4

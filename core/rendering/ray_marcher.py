@@ -28,7 +28,7 @@ COMPACT_BELOW = 0.85  # share of a batch's rays still marching below which the e
 
 @dataclass(frozen=True, eq=False)
 class MarchOutput:
-    """Results of all rays of a march, filled in as rays end: values [N, C] and transmittance [N], float32 (see RayBatch)."""
+    """Results of all rays of a march, filled in as rays end: values [N, C] and transmittance [N] (see RayBatch)."""
 
     values: NDArray[Any]
     transmittance: NDArray[Any]
@@ -123,7 +123,8 @@ class RayMarcher:
         self.brick_t = np.float32(BRICK_VOXELS) * inverse  # [3, N] signed t to cross a brick along each axis
         self.voxel_t = np.abs(inverse)  # [3, N] t to cross a voxel along each axis
         self.fastest_voxel_t = np.minimum(np.minimum(self.voxel_t[0], self.voxel_t[1]), self.voxel_t[2])  # [N] least of the three
-        self.point, self.brick, self.brick_offset, self.exit_t = (np.empty((3, count), np.float32) for _ in range(4))
+        self.point = np.empty((3, count), self.rays.state.dtype)
+        self.brick, self.brick_offset, self.exit_t = (np.empty((3, count), np.float32) for _ in range(3))
         self.half_width, self.advance = np.empty(count, np.float32), np.empty(count, np.float32)
         self.distance = np.empty(count, np.uint8)
 
@@ -199,8 +200,8 @@ class RayMarcher:
     def find_stencils(self, point: NDArray[Any], brick_number: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """The trilinear stencils (cubes of 8 voxels) that contain points [3, n] in bricks [n].
 
-        Returns the index [n] of each stencil's lowest corner in Acceleration.voxels, and the point's fraction in it [3, n] in [0, 1);
-        the fraction overwrites `point`.
+        Returns the index [n] of each stencil's lowest corner in Acceleration.voxels, and the point's fraction in it [3, n] float32, in
+        [0, 1]; `point` is overwritten.
         """
         point += np.float32(0.5)
         corner = np.trunc(point)
@@ -211,7 +212,7 @@ class RayMarcher:
         corner[0] += corner[2]
         base = self.acceleration.brick_base.take(brick_number, mode="clip")
         base += corner[0].astype(np.int64)
-        return base, point
+        return base, point.astype(np.float32, copy=False)
 
     def composite(self, rows: NDArray[Any]) -> None:
         """Composite the next SAMPLES_PER_PASS samples of rays [n] front to back (eqs. 5, 6)."""

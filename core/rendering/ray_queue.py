@@ -25,11 +25,11 @@ class RayBatch:
     """Rays inside the grid, in voxel units, with what they have accumulated so far.
 
     index: [N] int64, the ray's number among all rays of the march.
-    state: [8, N] float32, one row a quantity (long rows are what NumPy is fast on). Rows ENTRY: the point where the ray enters the grid,
-        voxels. DIRECTION: unit vector. T: distance from the entry point to the next sample, voxels; always k + 0.5 with k whole. T_END:
-        samples with t >= t_end are outside the grid.
-    transmittance: [N] float32 in [0, 1], of the part of the ray that is already marched.
-    values: [N, C] float32, C = channels of the atlas: composited colour and features, and in place of alpha the sum of t times the
+    state: [8, N] float32, or float64 in long grids (see packet_traversal.ray_type), one row a quantity (long rows are what NumPy is fast
+        on). Rows ENTRY: the point where the ray enters the grid, voxels. DIRECTION: unit vector. T: distance from the entry point to
+        the next sample, voxels; always k + 0.5 with k whole. T_END: samples with t >= t_end are outside the grid.
+    transmittance: [N] of the same type, in [0, 1], of the part of the ray that is already marched.
+    values: [N, C] of the same type, C = channels of the atlas: composited colour and features, and in place of alpha the sum of t times the
         contribution (transmittance times alpha) of each sample.
     """
 
@@ -41,7 +41,7 @@ class RayBatch:
     @classmethod
     def unmarched(cls, index: NDArray[Any], state: NDArray[Any], channels: int) -> RayBatch:
         """Rays with numbers [N] and state [8, N] of which no sample is taken yet: transmittance 1, values 0."""
-        return cls(index, state, np.ones(len(index), np.float32), np.zeros((len(index), channels), np.float32))
+        return cls(index, state, np.ones(len(index), state.dtype), np.zeros((len(index), channels), state.dtype))
 
     @classmethod
     def empty(cls, channels: int) -> RayBatch:

@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from ..geometry.camera import Camera
 from ..geometry.ndc import world_distance
+from ..io.settings import check_flag, check_number, check_whole
 from ..nerf.frame import Composited, Frame, residual, shade
 from ..progress import Progress, silent, within
 from ..scene.scene import Scene
 from .acceleration import acceleration_of
 from .early_termination import stop_transmittance_for
 from .opacity import correct_opacity
-from .packet_traversal import PACKET_RAYS, intersect_grid, start_batch
+from .packet_traversal import PACKET_RAYS, intersect_grid, ray_type, start_batch
 from .ray_marcher import MarchOutput, RayMarcher, RecordSamples
 from .ray_queue import RayBatch, RayQueue
 
@@ -33,6 +34,7 @@ MAX_CHUNK_RAYS = 2**17  # rays that a thread sets up at once: packet traversal t
 # Rays that are clipped against the grid, or shaded, at once. It keeps matrix products below the size from which BLAS starts threads of
 # its own, which would spin while the marching threads need the processor.
 RAYS_PER_PASS = 16384
+MAX_BATCH, MAX_THREADS = 2**24, 1024  # that may be asked for: bound the memory
 TILE = 8  # pixels along the side of a tile; its 64 rays are one packet
 PROGRESS_SECONDS = 0.03  # between two calls of `progress`
 PREVIEW_TOLERANCE = 0.5 / 255  # half a level of an 8-bit picture: the error cannot be seen
@@ -43,14 +45,23 @@ FIRST_PIXELS = 2**15  # most pixels of that picture: two cores march them in les
 
 @dataclass(frozen=True)
 class MarchSettings:
-    """How a scene is marched. The defaults give an exact picture (to 1e-4) in the least time."""
+    """How a scene is marched. The defaults give an exact picture (to 1e-4) in the least time. Raises SnergError for values out of range."""
 
-    tolerance: float = 1e-4  # largest error of a displayed value, 0 to 1 (see early_termination.py)
+    tolerance: float = 1e-4  # largest error of a displayed value, 0 to 1 (see early_termination.error_bound)
     stop_transmittance: float | None = None  # if given, rays stop below this transmittance, whatever the tolerance
     per_sample_network: bool = False  # view dependence at every sample instead of once a pixel (ablation of table 1)
     batch: int = 24576  # rays marched together in a thread: what fits the processor's caches
     threads: int = 2  # marching threads
     skip: bool = True  # skip empty space; the picture is the same without, but takes longer
+
+    def __post_init__(self) -> None:
+        check_number("The tolerance of a march", self.tolerance, 0, 1)
+        if self.stop_transmittance is not None:
+            check_number("The transmittance at which rays stop", self.stop_transmittance, 0, 1)
+        check_flag("Whether the network is evaluated at every sample", self.per_sample_network)
+        check_whole("The number of rays marched together", self.batch, 1, MAX_BATCH)
+        check_whole("The number of marching threads", self.threads, 1, MAX_THREADS)
+        check_flag("Whether empty space is skipped", self.skip)
 
 
 def render_scene(scene: Scene, camera: Camera, settings: MarchSettings = MarchSettings(), progress: Progress = silent) -> Frame:
@@ -177,8 +188,9 @@ class _March:
         self.scene, self.rays, self.skip = scene, rays, settings.skip
         self.near, self.far = span
         self.acceleration = acceleration_of(scene)
-        self.output = MarchOutput(np.zeros((count, self.acceleration.channels), np.float32), np.ones(count, np.float32))
-        self.start = np.zeros(count, np.float32)  # voxels from a ray's origin to where it enters the grid
+        kind = ray_type(scene)
+        self.output = MarchOutput(np.zeros((count, self.acceleration.channels), kind), np.ones(count, kind))
+        self.start = np.zeros(count, kind)  # voxels from a ray's origin to where it enters the grid
         self.per_sample = scene.network is not None and settings.per_sample_network
         self.view_directions = np.empty((count if self.per_sample else 0, 3), np.float32)
 
@@ -204,8 +216,10 @@ class _March:
         """The composited rays, with opacity correction where the scene asks for it. Depth is made world units from the ray's origin."""
         values, transmittance = self.output.values, self.output.transmittance
         depth = values[:, -1] + (1 - transmittance) * self.start
-        depth *= np.float32(self.scene.voxel_size)
-        rays = Composited(values[:, :3], values[:, 3:-1], transmittance, depth, samples)
+        depth *= depth.dtype.type(self.scene.voxel_size)
+        colour, features = values[:, :3].astype(np.float32, copy=False), values[:, 3:-1].astype(np.float32, copy=False)
+        transmittance, depth = transmittance.astype(np.float32, copy=False), depth.astype(np.float32, copy=False)
+        rays = Composited(colour, features, transmittance, depth, samples)
         return correct_opacity(rays) if self.scene.opacity_correction else rays
 
 

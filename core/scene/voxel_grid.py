@@ -51,6 +51,12 @@ class VoxelGrid:
         x, y, z = (-(-n // 2) for n in self.shape)
         return VoxelGrid(self.grid_to_world, 2 * self.voxel_size, (x, y, z))
 
+    def box_of(self, low: NDArray[Any], high: NDArray[Any]) -> Box:
+        """The box from the outer corner of the voxel `low` [3] to that of `high` [3], which may lie outside of the grid."""
+        pose = self.grid_to_world.copy()
+        pose[:3, 3] += pose[:3, :3] @ ((low + high) / 2 * self.voxel_size)
+        return Box(pose, (high - low) * self.voxel_size)
+
     def voxel_centres(self, voxels: NDArray[Any]) -> NDArray[Any]:
         """World positions [N, 3] float64 of the centres of voxels with these indices [N, 3], which may be fractional."""
         local = (voxels + 0.5) * self.voxel_size

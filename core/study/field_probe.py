@@ -20,7 +20,7 @@ from ..baking.jitter import voxel_uniform
 from ..baking.occupied_voxels import BLOCKS_PER_CHUNK, FAINT_DEPTH, block_optical_depth, candidate_blocks, cull_faint
 from ..baking.resume import THREADS
 from ..baking.supersampling import average_in_voxels, measure_supersampling
-from ..baking.visibility import visibility_camera
+from ..baking.visibility_rays import ray_grid
 from ..errors import SnergError
 from ..export.atlas import atlas_blocks, atlas_slices
 from ..export.codecs import PNG, images_of_slice
@@ -395,9 +395,8 @@ def _seconds(work: Callable[[Camera], Any], camera: Camera) -> float:
 def visibility_rays(field: Field, grid: VoxelGrid) -> float:
     """Rays of all cameras together in the visibility stage of a bake to a grid, extrapolated from some of the cameras."""
     half, some = grid.halved(), field.cameras[:: max(1, len(field.cameras) // MAX_CAMERAS)]
-    nothing = np.full(half.blocks, -1, np.int32), np.zeros((0, *(CELL_VOXELS,) * 3, 4), np.uint8)
-    scene = Scene(half.grid_to_world, half.voxel_size, half.shape, *nothing, None, ndc=field.ndc)
-    return sum(_ray_count(visibility_camera(camera, scene)) for camera in some) * len(field.cameras) / max(len(some), 1)
+    box = half.box_of(np.zeros(3), np.array(half.shape))
+    return sum(ray_grid(camera, box, half.voxel_size, field.ndc).count for camera in some) * len(field.cameras) / max(len(some), 1)
 
 
 def outside_camera(box: Box) -> Camera:

@@ -13,7 +13,9 @@ from ..baking.finish import Finishing
 from ..errors import SnergError
 from ..export.codecs import PNG, CodecSettings
 from ..io.json_files import json_bytes
+from ..io.settings import check_number, check_whole
 from ..rendering.render import MarchSettings
+from ..scene.voxel_grid import MAX_RESOLUTION
 
 COARSE_SHARES = (0.25, 0.375, 0.5, 0.75)  # of the baseline's resolution, measured first because they are quick
 PAGE_STOP = 1 / 1024  # transmittance at which a ray of the web page ends (march.glsl of the viewer)
@@ -21,7 +23,7 @@ PAGE_STOP = 1 / 1024  # transmittance at which a ray of the web page ends (march
 
 @dataclass(frozen=True)
 class StudySettings:
-    """Settings of a study."""
+    """Settings of a study. Raises SnergError for values out of range."""
 
     minutes: float = 30.0  # time limit; a study that is started again measures what was left out
     resolution: int = BakeSettings.resolution  # voxels along the longest side, of the baseline
@@ -30,6 +32,13 @@ class StudySettings:
     box: Path | None = None  # JSON file of the bakes' box; the field's whole domain when None
     seed: int = 0  # of bakes and trainings
     paper: bool = False  # whether to train fields of other kinds for the paper's tables
+
+    def __post_init__(self) -> None:
+        check_number("The time limit of a study, in minutes,", self.minutes, 0, 1e9)
+        check_whole("The resolution of a study", self.resolution, 2, MAX_RESOLUTION)
+        for name in ("views", "repeats"):
+            check_whole(f"The study's number of {name}", getattr(self, name), 1, 2**31)
+        check_whole("The seed of a study", self.seed, 0, 2**63 - 1)
 
 
 @dataclass(frozen=True)

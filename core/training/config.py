@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, replace
 
 from ..errors import SnergError
+from ..io.settings import check_whole, is_whole
 from ..nerf.model import VIEW_DEGREES, VIEWS, HashModelConfig, MlpModelConfig, ModelConfig
 
 MOST_BYTES = 2**31  # of one array of a step; a slip of the finger asks for more
@@ -102,12 +103,14 @@ class TrainSettings:
             ("seed", 0, 2**63 - 1),
         ):
             _within(name, getattr(self, name), least, most)
+        for name in ("samples", "rays", "coarse", "fine", "rays_at_once", "view_degrees", "warm_up", "seed"):
+            check_whole(f"The setting {name}", getattr(self, name), 0, 2**63 - 1)
         for name in ("clip_value", "clip_norm"):
             if getattr(self, name) is not None:
                 _within(name, getattr(self, name), 1e-12, 1e12)
         if not (0 < self.final_rate <= self.rate and math.isfinite(self.rate)):
             raise SnergError(f"The learning rate falls from {self.rate} to {self.final_rate}; both must be above 0, and it must not rise.")
-        if self.steps is not None and self.steps < 1:
+        if self.steps is not None and not (is_whole(self.steps) and self.steps >= 1):
             raise SnergError(f"Training for {self.steps} steps trains nothing; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds trains nothing; give a time above 0, or steps.")

@@ -67,7 +67,7 @@ def test_turned_box(page: Page, turned: tuple[Scene, str, Path], index: int) -> 
 @pytest.mark.parametrize(
     ("centre", "size"), [(FAR, 2.0), ((3.0, 1.0, -2.0), 1e-3), ((0.0, 0.0, 0.0), 5e3)], ids=["far from the origin", "tiny", "huge"]
 )
-@pytest.mark.hard_case(6)
+@pytest.mark.hard_case(6, 74)
 def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tuple[float, float, float], size: float) -> None:
     scene = make_snerg(angles=TURNED, centre=centre, size=size)
     cameras = make_cameras(centre, size)
@@ -99,7 +99,7 @@ def test_forward_facing(page: Page, forward: tuple[Scene, str], index: int) -> N
     compare(page, address, scene, make_forward_cameras(make_frame(), 160, 120)[index], index)
 
 
-@pytest.mark.hard_case(6)
+@pytest.mark.hard_case(6, 74)
 @pytest.mark.parametrize(("scale", "position"), [(1.0, FAR), (1e-3, (3.0, 1.0, -2.0)), (5e3, (0.0, 0.0, 0.0))], ids=["far", "tiny", "huge"])
 def test_forward_facing_at_any_place_and_size(
     page: Page, tmp_path: Path, serve: Serve, scale: float, position: tuple[float, float, float]

@@ -18,6 +18,7 @@ from .conftest import OUT
 COLOURS = {"red": (255, 0, 0), "green": (0, 255, 0), "green over blue": (0, 255, 0), "blue": (0, 0, 255)}
 
 
+@pytest.mark.hard_case(74)
 @pytest.mark.parametrize("kind", ["network", "diffuse", "corrected", "stray"])
 def test_the_picture_is_numpys(blender, kind):
     folder = OUT / f"scene {kind}"

@@ -1,6 +1,6 @@
 """Baking against fields whose values are known, and refining on what came out."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -8,11 +8,13 @@ import pytest
 from scenes import looking, make_dataset, random_network
 from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.baking.fine_tune import RefineSettings, march_training_views, refine
+from snerg.core.baking.visibility_rays import MAX_RAYS, RAY_SPACING, ray_grid
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import Cancelled, SnergError, needs_jax
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
-from snerg.core.geometry.camera import Camera
+from snerg.core.geometry.camera import Camera, panorama_focal
+from snerg.core.geometry.distortion import Distortion
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.files import folder_bytes
 from snerg.core.nerf.field import Field
@@ -161,6 +163,67 @@ def test_invisible_voxels_are_culled():
     assert occupied[1] < 0.6 * occupied[0]  # the inside is gone
     for camera in cameras:
         assert np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over()).max() < 3 / 255
+
+
+@pytest.mark.hard_case(67)
+@pytest.mark.parametrize("pixels", [1, 9, 40])
+@pytest.mark.parametrize("kind", ["perspective", "orthographic", "equirectangular", "lens"])
+def test_nothing_is_culled_that_lies_between_the_rays_of_small_pictures(pixels, kind):
+    """What a camera of few pixels sees, one of many at the same place sees too: no voxel of that may go."""
+    eyes = [(2.6, 0, 0.2), (-2.6, 0, 0.1), (0, 2.6, 0), (0, -2.6, 0.3), (0.2, 0.1, 2.6), (0.3, 0, -2.6)]
+    cameras = [camera_at(eye, pixels) for eye in eyes]
+    if kind == "orthographic":
+        cameras = [replace(camera, projection=kind, focal=(pixels / 1.5,) * 2) for camera in cameras]
+    elif kind == "equirectangular":
+        cameras = [replace(camera, projection=kind, focal=panorama_focal(pixels, pixels)) for camera in cameras]
+    elif kind == "lens":
+        cameras = [replace(camera, distortion=Distortion("opencv", (0.05, 0.01, 0.002, -0.003))) for camera in cameras]
+    resolution = 60
+    whole = bake(Ball(), BOX, (), BakeSettings(resolution, supersampling=1))
+    seen = bake(Ball(), BOX, cameras, BakeSettings(resolution, supersampling=1))
+    counts = seen.about["bake"]["voxels"]
+    assert counts["seen"] < 0.8 * counts["held"]  # the inside is gone
+    for camera in cameras[::2]:
+        large = camera.resized(150, 150)
+        assert np.abs(render_scene(whole, large).alpha - render_scene(seen, large).alpha).max() < BakeSettings().visibility_threshold
+
+
+def test_rays_of_visibility_are_cut_to_the_picture_and_to_what_there_is():
+    box = Box.axis_aligned([-1, -1, -1], [1, 1, 1])
+    near, far = (ray_grid(camera_at((0, -distance, 0), 100), box, 0.01, None) for distance in (4, 4000))
+    assert 0.2 < near.count / far.count < 4 and far.count < MAX_RAYS  # not a picture of 1e11 pixels, of which the box takes few
+    assert ray_grid(replace(camera_at((0, -4, 0)), camera_to_world=looking((0, -4, 0), (0, -8, 0))), box, 0.01, None).count == 0
+    bent = replace(camera_at((0, -4000, 0), 100), distortion=Distortion("opencv", (0.05, 0.01, 0.002, -0.003)))
+    assert ray_grid(bent, box, 0.01, None).count <= MAX_RAYS
+    directions = np.concatenate([band[1] for band in ray_grid(camera_at((0, -4, 0), 100), box, 0.01, None).bands()])
+    across = np.unique((directions[:, 0] / directions[:, 1] * 5).round(9))  # at depth 5, that of the face behind
+    assert np.diff(across).max() <= RAY_SPACING * 0.01 + 1e-8 and across[-1] > 1 - 0.01 and across[0] < 0.01 - 1
+
+
+@pytest.mark.hard_case(71)
+@pytest.mark.parametrize("alpha", [1e-4, 2e-4, 1e-3])
+def test_fog_that_adds_up_over_many_blocks_is_kept(alpha):
+    """A row of a block is 0.3 % opaque at an opacity of 1e-4 a voxel, a row of a thousand voxels 10 %: it must not be called nothing."""
+
+    class Fog(Ball):
+        def query(self, points):
+            return np.full(len(points), alpha * 20, np.float32), np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4))
+
+    box = Box.axis_aligned([-25, -0.4, -0.4], [25, 0.4, 0.4])  # 1000 x 16 x 16 voxels of 0.05
+    scene = bake(Fog(network=None), box, (), BakeSettings(1000, supersampling=1, network=False))
+    assert "warning" not in scene.about["bake"] and scene.about["bake"]["opacity_lost_at_most"] < 0.005
+    origins, directions = np.random.default_rng(0).uniform([-30, -0.3, -0.3], [-30, 0.3, 0.3], (400, 3)), np.tile([1.0, 0, 0], (400, 1))
+    wanted = -np.expm1(1000 * -alpha)
+    assert np.mean(1 - march_rays(scene, origins, directions).transmittance) == pytest.approx(wanted, abs=1.5 / 255)
+
+
+def test_fog_that_is_left_out_is_not_called_nothing():
+    class Fog(Ball):
+        def query(self, points):
+            return np.full(len(points), 0.006, np.float32), np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 4))
+
+    scene = bake(Fog(), BOX, (), BakeSettings(90, supersampling=1, network=False))
+    assert "thin fog alone, at most 1.2 % opaque" in scene.about["bake"]["warning"]
 
 
 @pytest.mark.hard_case(48)

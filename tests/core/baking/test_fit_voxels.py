@@ -80,11 +80,13 @@ def test_fitted_voxels_are_closer_to_views_that_nothing_saw(folder, fitted):
     check_stored(better)
 
 
+@pytest.mark.hard_case(75)
 def test_the_same_seed_gives_the_same_bytes(views, fitted):
     again, _ = fit_voxels(noisy(), views, SETTINGS)
     assert np.array_equal(again.cells, fitted[1].cells) and all(map(np.array_equal, again.network, fitted[1].network))
 
 
+@pytest.mark.hard_case(75)
 def test_a_fit_that_goes_wrong_changes_nothing(views):
     """At such rates every step makes it worse: the views kept out say so, the fit ends early, and the scene stays."""
     scene = make_snerg((40, 36, 44), fog=False)

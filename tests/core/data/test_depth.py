@@ -93,6 +93,7 @@ def test_depth_along_the_ray_is_turned_into_depth_along_the_axis(tmp_path):
     assert info(folder)["depth"]["stored"] == "along the ray"
 
 
+@pytest.mark.hard_case(73)
 def test_what_was_not_measured_is_nan(tmp_path):
     def write(path, depth) -> None:
         depth[0, :4] = [0, np.nan, np.inf, 1e10]

@@ -48,8 +48,8 @@ def test_straight_down_and_up_are_poses_too():
 @pytest.mark.hard_case(4)
 @pytest.mark.parametrize(
     "settings",
-    [RigSettings(count=0), RigSettings(angle=math.pi), RigSettings(angle=0.0), RigSettings(distance=0.1), RigSettings(distance=-3)],
+    [{"count": 0}, {"angle": math.pi}, {"angle": 0.0}, {"distance": 0.1}, {"distance": -3}, {"distance": math.nan}],
 )
 def test_an_impossible_rig_is_refused(settings):
     with pytest.raises(SnergError):
-        rig_cameras(BOX, settings, 100, 100)
+        rig_cameras(BOX, RigSettings(**settings), 100, 100)

@@ -383,3 +383,15 @@ def test_four_thousand_blocks_are_streamed(tmp_path):
     finally:
         tracemalloc.stop()
     assert np.array_equal(back.cells, cells)
+
+
+@pytest.mark.hard_case(69)
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1.0001, -1e-6])
+def test_float_cells_outside_of_0_to_1_are_not_written(tmp_path, wrong):
+    scene = make_snerg((34, 30, 40))
+    cells = scene.cells.astype(np.float32) / 255
+    write_scene(replace(scene, cells=cells), tmp_path / "good")
+    cells[0, 3, 4, 5, 7] = wrong
+    with pytest.raises(SnergError, match="atlas holds values outside 0 to 1"):
+        write_scene(replace(scene, cells=cells), tmp_path / "bad")
+    assert not (tmp_path / "bad").exists()

@@ -126,10 +126,9 @@ def test_invisible_voxels_are_culled(planes):
     whole = bake(field, field.domain.world_box(), (), BakeSettings(128, supersampling=2))
     filled = [(s.cells[:, 1:-1, 1:-1, 1:-1, -1] > 0).sum() for s in (whole, seen)]
     assert filled[1] < 0.8 * filled[0]  # behind the front plane, but for its window
+    whole = replace(whole, opacity_correction=seen.opacity_correction)  # it is measured where there are cameras
     for camera in cameras:
-        difference = np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over())
-        assert difference[seen_in_the_world(camera, FRAME)[2]].max() < 1e-3
-        assert (difference.max(axis=-1) < 3 / 255).mean() > 0.99  # rays two voxels apart miss what shines past an edge
+        assert np.abs(render_scene(whole, camera).over() - render_scene(seen, camera).over()).max() < 1e-3
 
 
 def test_near_is_of_the_world(planes):
