@@ -115,6 +115,9 @@ def test_a_level_that_just_fits_is_indexed_by_position():
     indices, _ = hash_lookup(np, grid, points)
     base = np.floor(points * 6).astype(int)
     assert (indices[0, :, 0] == (base[:, 0] * 8 + base[:, 1]) * 8 + base[:, 2]).all()
+    grid = HashGrid(levels=1, coarsest=7, finest=7, features=1, log2_size=9)  # 7^3 cells would fit, their 9^3 vertices do not
+    base = np.floor(points * np.float32(7)).astype(int).tolist()
+    assert hash_lookup(np, grid, points)[0][0, :, 0].tolist() == [golden_vertex(7, 9, *vertex) for vertex in base]
 
 
 @pytest.mark.parametrize("xnp", [np, jnp], ids=["numpy", "jax"])

@@ -36,7 +36,7 @@ def parameters(view: str = "deferred") -> Any:
 
 
 def batch_of(**changes: Any) -> dict[str, Any]:
-    """Rays with 0 to 25 samples; one is unused, two are cut, one of these in the light; the last places are filled up."""
+    """Rays with 0 to 25 samples; one is unused, three are cut, one of these in the light; the last places are filled up."""
     draw = np.random.default_rng(7)
     points = draw.uniform(-1, 1, (SAMPLES, 3)).astype(np.float32)
     ray = np.sort(draw.choice([0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 12], SAMPLES)).astype(np.int32)
@@ -48,7 +48,7 @@ def batch_of(**changes: Any) -> dict[str, Any]:
     used[ray[valid]] = True
     used[4] = False
     cut = np.zeros(RAYS, bool)
-    cut[[0, 8]] = True
+    cut[[0, 1, 8]] = True
     directions = draw.normal(size=(RAYS, 3))
     target = draw.integers(0, 256, (RAYS, 4)).astype(np.uint8)
     batch = {
@@ -78,7 +78,7 @@ def expected(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[
             densities.append(golden.density_of(settings.family, raw + float(batch["noise"][i]) if "noise" in batch else raw))
             values.append(value)
         sparsity += sum(np.log1p(density**2 / 0.5) for density in densities)
-        depths = np.array(densities) * float(LENGTH)
+        depths = np.array(densities) * float(batch["length"])
         gathered, through, weights = golden.march(depths, np.array(values).reshape(len(values), -1) if values else np.zeros((0, 7)))
         before = np.concatenate([[0.0], np.cumsum(np.clip(depths, 0, 80))[:-1]]) if len(depths) else np.zeros(0)
         lit[ray], whole[ray] = (np.exp(-before) > 1e-3).sum(), depths.sum()
@@ -100,6 +100,7 @@ CASES = {
     "white": ({}, {}, True),
     "random background and noise": ({}, {"background": DRAW.random((RAYS, 3), np.float32), "noise": DRAW.normal(size=SAMPLES)}, False),
     "diffuse, without hardness": ({"hardness": 0.0, "view_dependence": "diffuse"}, {}, True),
+    "nothing in places": ({"family": replace(FAMILY, density="relu")}, {"length": np.float32(0.0015)}, True),
 }
 
 
@@ -114,7 +115,11 @@ def test_the_packed_loss_is_that_of_float64(case):
     assert float(found) == pytest.approx(truth["loss"], rel=2e-6) and float(told["error"]) == pytest.approx(truth["error"], rel=2e-6)
     assert np.asarray(told["lit_samples"]).tolist() == truth["lit_samples"].tolist()  # also of the last ray, whose places are filled up
     assert np.allclose(told["depth"], truth["depth"], rtol=2e-6)
-    assert (truth["lit_samples"] < np.bincount(batch["ray"][:REAL], minlength=RAYS)).any(), "no ray ends in the dark"
+    through = np.exp(-truth["depth"][batch["used"]])
+    if case == "nothing in places":
+        assert ((through > 254 / 255) & (through < 1)).any() and ((through > 0.5) & (through < 254 / 255)).any()
+    else:
+        assert (truth["lit_samples"] < np.bincount(batch["ray"][:REAL], minlength=RAYS)).any(), "no ray ends in the dark"
 
 
 @pytest.mark.hard_case(20, 22)
