@@ -271,3 +271,20 @@ def test_the_domain_fits_its_longest_side():
     assert domain.scale == 0.25 and domain.centre.tolist() == [2, 2, 4.5]
     assert domain.low.tolist() == [-0.25, -1, -0.125] and domain.high.tolist() == [0.25, 1, 0.125]
     assert np.allclose(domain.world_box().corners().min(axis=0), [1, -2, 4])
+
+
+def test_any_cell_may_be_measured():
+    occupancy = Occupancy.of_hull(np.arange(CELLS**3) < 1000)
+    occupancy.update(lambda x: np.ones(len(x), np.float32), 300, np.random.default_rng(0))
+    measured = np.flatnonzero(~np.isinf(occupancy.most[:1000]))
+    assert abs(measured.mean() - 500) < 50 and measured.max() > 950
+
+
+def test_the_coarse_grid_is_that_of_the_occupancy():
+    """Not that of another array that had its place in memory."""
+    for cell in range(0, CELLS**3, CELLS**3 // 9):
+        occupied = np.zeros(CELLS**3, bool)
+        occupied[cell] = True
+        coarse, factor = coarser(occupied, 0.05)
+        assert np.array_equal(coarse, coarser(occupied.copy(), 0.05)[0]) and coarse.any() and factor == 1
+        del occupied

@@ -465,3 +465,21 @@ def test_the_hierarchical_sampler_measures_its_occupancy(pool):
     scheme.density = lambda params, x: np.zeros(len(x), np.float32)
     scheme.learn({}, 256, {})
     assert np.flatnonzero(scheme.occupied).tolist() == [0, 1]
+
+
+def test_resampling_covers_the_last_interval():
+    """A sum of many float32 shares is not 1: what is left of 1 belongs to the last interval, and nothing lies behind it."""
+    draw = np.random.default_rng(2)
+    weights = jnp.asarray(draw.random((64, 4000), np.float32))
+    borders = jnp.tile(jnp.linspace(0, 1, 4001), (64, 1))
+    found = np.asarray(resampled(borders, weights, jnp.full((64, 1), np.nextafter(np.float32(1), np.float32(0)))))
+    assert found.min() >= 1 - 1 / 4000 and found.max() <= 1
+
+
+def test_density_noise_changes_what_is_seen_and_not_its_sparsity(pool):
+    settings = replace(SMALL, family=GOLDEN, rays=20, coarse=6, fine=5)
+    batch, params = scheme_of(pool, settings).batch({}, 0.0).arrays, init_params(GOLDEN, "deferred", True, np.random.default_rng(1))
+    plain, noisy = (jax.jit(partial(render_rays, replace(settings, density_noise=noise)))(params, batch) for noise in (0.0, 2.0))
+    assert (
+        np.abs(plain[0].sparsity - noisy[0].sparsity).max() < 1e-6 and np.abs(plain[0].transmittance - noisy[0].transmittance).max() > 0.05
+    )

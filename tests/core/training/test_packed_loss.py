@@ -265,3 +265,16 @@ def test_plain_backgrounds_are_their_colours():
         assert backgrounds(name, 3, np.random.default_rng(0)) == pytest.approx(np.tile(np.float32(colour), (3, 1)))
     drawn = backgrounds("random", 1000, np.random.default_rng(0))
     assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.1, "greys alone"
+
+
+def test_rays_end_two_samples_behind_coarse_terminations():
+    scheme = sampler_of(replace(SETTINGS, samples=4096, spacing=2 / 256, steps=1200))
+    scheme.termination.depths[:] = 3
+    assert scheme.batch(None, 0.0).arrays["cut"].any()
+    farthest = np.array([scheme.drawn.distance[scheme.drawn.ray == r].max() for r in np.unique(scheme.drawn.ray)])
+    assert 3 + 1 / 16 < farthest.max() < 3 + 2 / 16  # the spacing is 8 times the final one
+
+
+def test_long_trainings_scale_their_spacings():
+    scheme = sampler_of(replace(SETTINGS, steps=12000))
+    assert scheme.spacing(0.6 * 10**-0.4 - 1e-6) == 2 * SETTINGS.spacing and scheme.spacing(0.6 * 10**-0.4 + 1e-6) == SETTINGS.spacing
