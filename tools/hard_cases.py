@@ -35,7 +35,7 @@ def table(cases: list[int]) -> str:
     tests: dict[int, list[str]] = defaultdict(list)
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         for case, name in marked(path):
-            tests[case].append(f"`{path.relative_to(ROOT / 'tests').as_posix()}` {name[5:].replace('_', ' ')}")
+            tests[case].append(f"`{path.relative_to(ROOT).as_posix()}` {name[5:].replace('_', ' ')}")
     mutations: dict[int, list[str]] = defaultdict(list)
     for mutation in read_lists():
         for case in mutation.cases:
