@@ -109,13 +109,15 @@ def tests_in(path: Path) -> frozenset[str]:
     return frozenset(inner | {node.name for node in body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)})
 
 
-def faults(mutations: Sequence[Mutation], root: Path = ROOT) -> list[str]:
-    """What is stale in the lists, a sentence an entry: a line that is not there once, a test that does not exist."""
-    wrong = []
+def faults(mutations: Sequence[Mutation], root: Path = ROOT, parsed: bool = True) -> list[str]:
+    """What is stale in the lists, a sentence an entry: a line that is not there once, a test that does not exist.
+
+    parsed: whether to parse each changed file, which takes most of the time.
+    """
+    wrong, texts = [], cache(lambda file: (root / file).read_text())
     for mutation in mutations:
-        path = root / mutation.file
         try:
-            mutation.apply(path.read_text())
+            (mutation.apply if parsed else mutation.place)(texts(mutation.file))
         except (OSError, ValueError) as error:
             wrong.append(str(error))
         for test in mutation.tests:

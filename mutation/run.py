@@ -56,11 +56,13 @@ sys.meta_path.insert(0, Finder)
 def main() -> None:
     args = arguments()
     everything = read_lists()
-    if wrong := faults(everything):
+    if wrong := faults(everything, parsed=False):
         fail([*wrong, "The lists are stale: mend them."])
     chosen = choose(everything, args)
     if not chosen:
         fail(["No mutation is called that."])
+    if wrong := faults(chosen):
+        fail(wrong)
     BUILD.mkdir(parents=True, exist_ok=True)
     os.environ.update(COMPILED)
     preload()
