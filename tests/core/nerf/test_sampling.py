@@ -16,6 +16,7 @@ from snerg.core.nerf.sampling import (
     carve,
     cell_centres,
     cell_index,
+    cells_alive,
     clip_rays,
     coarser,
     dilated,
@@ -185,8 +186,8 @@ def test_rays_through_faces_edges_and_corners_are_clipped_as_rational_arithmetic
 def test_a_ray_in_a_face_of_the_domain_has_all_of_its_samples():
     for side in (DOMAIN.low, DOMAIN.high, DOMAIN.high - 1e-13, DOMAIN.low + 1e-13):
         origin, direction = np.array([[-3.0, side[1], 0.2]]), np.array([[1.0, 0, -0.0]])
-        got = pack_samples(DOMAIN, np.ones(CELLS**3, bool), origin, direction, 0.01, np.full(1, 0.5))
-        assert len(got.ray) == 200 and got.distance[0] == pytest.approx(2.005) and got.distance[-1] == pytest.approx(3.995)
+        got = pack_samples(DOMAIN, np.ones(CELLS**3, bool), origin, direction, 0.011, np.full(1, 0.5))
+        assert len(got.ray) == 182 and got.distance[0] == pytest.approx(2.0055) and got.distance[-1] == pytest.approx(3.9965)
 
 
 def test_near_moves_the_beginning_of_a_ray_and_not_its_end():
@@ -253,9 +254,12 @@ def test_points_of_cells_lie_anywhere_in_them():
 
 
 def test_cells_of_points_and_of_what_lies_outside():
-    points = np.float32([[-1, -1, -1], [1, 1, 1], [0, 0, 0], [-9, 9, 0.999], [-1 + 2 / CELLS, 0, 0]])
+    points = np.float32(
+        [[-1, -1, -1], [1, 1, 1], [0, 0, 0], [-9, 9, 0.999], [-1 + 2 / CELLS, 0, 0], [-1 + 3.5 / CELLS, 0.75 / 64, -0.75 / 64]]
+    )
     index = np.stack(np.unravel_index(cell_index(points), (CELLS,) * 3), axis=-1)
-    assert index.tolist() == [[0, 0, 0], [127, 127, 127], [64, 64, 64], [0, 127, 127], [1, 64, 64]]
+    assert index.tolist() == [[0, 0, 0], [127, 127, 127], [64, 64, 64], [0, 127, 127], [1, 64, 64], [1, 64, 63]]
+    assert cell_centres(2)[[0, 1, 7]].tolist() == [[-0.5, -0.5, -0.5], [-0.5, -0.5, 0.5], [0.5, 0.5, 0.5]]
 
 
 def test_a_footprint_is_rounded_up_and_bounded():
@@ -288,3 +292,14 @@ def test_the_coarse_grid_is_that_of_the_occupancy():
         coarse, factor = coarser(occupied, 0.05)
         assert np.array_equal(coarse, coarser(occupied.copy(), 0.05)[0]) and coarse.any() and factor == 1
         del occupied
+
+
+def test_the_domain_holds_every_coarse_cell_of_the_hull():
+    """And half a coarse cell more, where the box reaches so far."""
+    cameras = [c for c in make_cameras(width=60, height=60) if c.name not in ("Inside", "Near plane", "Far plane")]
+    box, masks = Box.axis_aligned([-1, -1, -1], [1, 1, 1]), balls(cameras)
+    domain, _ = hull(box, cameras, masks)
+    coarse = cell_centres(64)[cells_alive(Domain.around(np.full(3, -1.0), np.full(3, 1.0)), 64, box, cameras, masks)]
+    corners = domain.world_box().corners()
+    assert np.allclose(corners.min(axis=0), np.maximum(coarse.min(axis=0) - 1 / 32, -1))
+    assert np.allclose(corners.max(axis=0), np.minimum(coarse.max(axis=0) + 1 / 32, 1))
