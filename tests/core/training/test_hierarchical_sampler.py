@@ -483,3 +483,9 @@ def test_density_noise_changes_what_is_seen_and_not_its_sparsity(pool):
     assert (
         np.abs(plain[0].sparsity - noisy[0].sparsity).max() < 1e-6 and np.abs(plain[0].transmittance - noisy[0].transmittance).max() > 0.05
     )
+
+
+@pytest.mark.hard_case(16)
+def test_an_infinite_weight_spoils_its_ray_from_its_first_sample_on():
+    weights = jnp.ones((1, 8)).at[0, 5].set(jnp.inf)
+    assert np.isnan(resampled(jnp.linspace(2.0, 6, 9)[None], weights, jnp.asarray([[0.0, 0.1, 0.5, 0.99]]))).all()
