@@ -187,6 +187,7 @@ def test_a_ray_in_a_face_of_the_domain_has_all_of_its_samples():
     for side in (DOMAIN.low, DOMAIN.high, DOMAIN.high - 1e-13, DOMAIN.low + 1e-13):
         origin, direction = np.array([[-3.0, side[1], 0.2]]), np.array([[1.0, 0, -0.0]])
         got = pack_samples(DOMAIN, np.ones(CELLS**3, bool), origin, direction, 0.011, np.full(1, 0.5))
+        assert len(pack_samples(DOMAIN, np.ones(CELLS**3, bool), origin, direction, 0.011, np.full(1, 0.9)).ray) == 181
         assert len(got.ray) == 182 and got.distance[0] == pytest.approx(2.0055) and got.distance[-1] == pytest.approx(3.9965)
 
 
