@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport proof fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport proof fuzz mutation hard-cases test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -76,6 +76,15 @@ proof: setup
 fuzz: setup
 	$(PY) bench/fuzz.py --count $(or $(N),5000) --seed $(or $(SEED),0)
 
+# Naive forms put back one at a time, and the tests that should see them: all of mutation/*.toml; KIND=losses,ndc: some lists; NAME=KIND/NAME: one;
+# PART=10 SEED=TEXT: a tenth drawn with that seed, without those that take minutes. JOBS=2: workers.
+mutation: setup
+	$(PY) mutation/run.py $(if $(KIND),--kind "$(KIND)") $(if $(NAME),--name "$(NAME)") $(if $(PART),--part $(PART)) $(if $(SEED),--seed "$(SEED)") $(if $(JOBS),--jobs $(JOBS))
+
+# The table of tests and mutations in docs/hard-cases.md, written anew; make lint says where it is old.
+hard-cases: $(VENV)/.installed
+	$(PY) tools/hard_cases.py
+
 # A file of tests stays in one process, because its tests share what it makes. Blender goes first: it crashes where a browser was driven before.
 test: setup
 	$(PY) -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder $(if $(BPY),tests/blender)
@@ -91,6 +100,7 @@ test-blender: setup
 lint: $(VENV)/.installed node_modules/.installed
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) tools/hard_cases.py --check
 	mkdir -p build/types && ln -sfn ../.. build/types/snerg
 	MYPYPATH=build/types $(PY) -m mypy $(TYPED)
 	$(PY) -m pytest -q tests/test_arrows.py tests/test_docstrings.py

@@ -17,6 +17,7 @@ from ..geometry.camera import Camera
 
 CELLS = 128  # cells of the occupancy grid along an axis (Mueller et al. 2022)
 MAX_STRETCH = 3  # of angles in the picture of a panorama or wide fisheye, up to which it carves
+PARALLEL = 1e-12  # component of a unit direction below which a ray stays where it is along that axis: less than any spacing of samples
 COARSE_CELLS = 64  # cells along an axis of the first, coarse carving, which finds the extent of the visual hull
 
 
@@ -206,12 +207,19 @@ class Occupancy:
 def clip_rays(
     domain: Domain, origins: NDArray[Any], directions: NDArray[Any], near: float | NDArray[Any]
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Distances [N] at which rays (field coordinates, unit directions) enter and leave the domain; leave <= enter is a miss."""
-    safe = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
-    first = (domain.low - origins) / safe
-    second = (domain.high - origins) / safe
+    """Distances [N] at which rays (field coordinates, unit directions) enter and leave the domain; leave <= enter is a miss.
+
+    A ray that is parallel to a face lies between the two faces, on one of them, or beside them, whatever its other components are
+    (hard cases 31, 32).
+    """
+    parallel = np.abs(directions) < PARALLEL
+    safe = np.where(parallel, 1.0, directions)
+    first = np.where(parallel, -np.inf, (domain.low - origins) / safe)
+    second = np.where(parallel, np.inf, (domain.high - origins) / safe)
+    beside = parallel & ((origins < domain.low) | (origins > domain.high))
     enter = np.maximum(np.minimum(first, second).max(axis=-1), near)
-    return enter, np.maximum(first, second).min(axis=-1)
+    leave = np.maximum(first, second).min(axis=-1)
+    return enter, np.where(beside.any(axis=-1), enter, leave)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,10 +304,10 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
     """(occupancy bool [(CELLS / factor)^3] in cells `factor` times as wide, factor).
 
     It is dilated, so that one lookup at the middle of a ray segment of length `span` (field coordinates) finds any occupied cell that
-    the segment meets. Smaller cells exclude more, larger ones need less dilation: a cell is at most a quarter of the segment.
+    the segment meets. Smaller cells exclude more, larger ones need less dilation: a cell is at most half of the segment.
     """
     factor = 1
-    while factor < 8 and 8 * factor / CELLS <= span:  # a cell is 2 / CELLS wide, and at most a quarter of the stretch
+    while factor < 8 and 8 * factor / CELLS <= span:  # of cells at most a quarter as long as the segment, two become one
         factor *= 2
     reach = int(np.ceil(span / 2 * CELLS / (2 * factor)))
     key = (id(occupied), reach, factor)

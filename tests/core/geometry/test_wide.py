@@ -103,3 +103,9 @@ def test_what_a_wide_camera_cannot_have():
     ):
         with pytest.raises(SnergError, match="Camera"):
             bad()
+
+
+def test_angles_are_the_inverse_to_1e_11():
+    k = LENS.coefficients
+    angle = np.random.default_rng(0).uniform(0, wide.last_angle(k), 2000)
+    assert np.abs(wide.angles(wide.distorted(angle, k), k) - angle).max() < 1e-11

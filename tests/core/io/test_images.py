@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import sys
 from pathlib import Path
@@ -11,7 +12,17 @@ import pytest
 from PIL import Image
 
 from snerg.core.errors import SnergError
-from snerg.core.io.images import MAX_PIXELS, display_referred, linear_to_srgb, read_image, read_size, reduced, srgb_to_linear
+from snerg.core.io.images import (
+    MAX_PIXELS,
+    display_referred,
+    linear_to_srgb,
+    over,
+    read_image,
+    read_size,
+    reduced,
+    srgb_to_linear,
+    to_uint8,
+)
 
 GREY = 30000  # of 65535: 116.7 of 255
 
@@ -213,3 +224,42 @@ def test_a_file_copied_in_part_is_known_by_its_size(tmp_path, suffix):
     file.write_bytes(data[: len(data) * 2 // 3])
     with pytest.raises(SnergError, match="a." + suffix):
         read_size(file)
+
+
+def test_srgb_is_that_of_the_standard():
+    """IEC 61966-2-1, in floats of 64 bits, at every 8-bit level and both ways; three values from its table."""
+    level = np.arange(256) / 255
+    linear = np.array([c / 12.92 if c <= 0.04045 else math.pow((c + 0.055) / 1.055, 2.4) for c in level.tolist()])
+    assert np.abs(srgb_to_linear(level) - linear).max() < 1e-15 and np.abs(linear_to_srgb(linear) - level).max() < 1e-7
+    assert srgb_to_linear(np.array([10, 11, 128]) / 255) == pytest.approx([0.003035270, 0.003346536, 0.215860501], rel=1e-6)
+    assert linear_to_srgb(np.array([0.001, 0.0031308, 0.01, 0.18, -0.1, 1.0])) == pytest.approx(
+        [0.01292, 0.040450, 0.0998528, 0.4613561, -1.292, 1.0], rel=1e-5
+    )
+
+
+@pytest.mark.hard_case(51, 59)
+def test_eight_bits_are_rounded_to_nearest():
+    """On average nothing is lost at any level; what lies outside is held, and what is not finite is refused."""
+    spread = np.linspace(0, 1, 100_001)
+    found = to_uint8(spread).astype(np.float64)
+    assert np.abs(found - 255 * spread).max() <= 0.5 + 1e-9 and abs((found - 255 * spread).mean()) < 1e-4
+    assert to_uint8(np.array([-0.2, 1.01, 1e9])).tolist() == [0, 255, 255]
+    for bad in (np.nan, np.inf):
+        with pytest.raises(SnergError, match="not finite"):
+            to_uint8(np.array([0.5, bad]))
+
+
+@pytest.mark.hard_case(8)
+def test_half_transparent_edges_are_blended_as_they_are_stored():
+    """Black of alpha 1/2 over white is 1/2, not the 0.735 of linear light; over a colour that colour's half is added."""
+    pixels = np.array([[0, 0, 0, 128], [200, 100, 50, 51], [10, 20, 30, 255], [255, 255, 255, 0]], np.uint8)
+    alpha = pixels[:, 3:] / 255
+    for background in ((1.0, 1.0, 1.0), (0.2, 0.0, 0.8)):
+        assert over(pixels, background) == pytest.approx(pixels[:, :3] / 255 * alpha + (1 - alpha) * np.array(background), abs=1e-6)
+    assert over(pixels)[0] == pytest.approx([0.498, 0.498, 0.498], abs=1e-3)
+
+
+def test_every_16_bit_value_becomes_the_nearest_level(tmp_path):
+    values = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+    Image.fromarray(values).save(tmp_path / "deep.png")
+    assert np.array_equal(read_image(tmp_path / "deep.png")[..., 0], np.rint(values.astype(np.float64) * 255 / 65535))

@@ -81,3 +81,15 @@ def test_outputs_stay_in_range():
 def test_the_same_generator_gives_the_same_bytes():
     first, second = (init_trunk(np.random.default_rng(7), 8, 2) for _ in range(2))
     assert all(a.kernel.tobytes() == b.kernel.tobytes() for a, b in zip(first, second, strict=True))
+
+
+def test_initial_weights_are_glorots():
+    """Uniform between plus and minus sqrt(6 / (in + out)); biases are 0."""
+    layers = init_trunk(np.random.default_rng(0), 200, 3)
+    for layer in layers:
+        reach = np.sqrt(6 / sum(layer.kernel.shape))
+        assert 0.95 * reach < layer.kernel.max() <= reach and -reach <= layer.kernel.min() < -0.95 * reach
+        assert layer.kernel.dtype == np.float32 and not layer.bias.any()
+    wide = layers[1].kernel.ravel()
+    share = np.histogram(wide, 10, (-np.sqrt(6 / 400), np.sqrt(6 / 400)))[0] / len(wide)
+    assert np.abs(share - 0.1).max() < 0.01

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+import golden
 from scenes import looking
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera
 from snerg.core.nerf.field import Field
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import (
+    SHAPES,
     VIEWS,
     HashModelConfig,
     MlpModelConfig,
@@ -125,3 +127,28 @@ def test_a_field_of_every_kind_is_rendered_as_it_is_trained(family, view):
     expected = ray_colour(np, view, params, colour.astype(np.float32), through.astype(np.float32), towards.astype(np.float32))
     assert np.abs(shown.over().reshape(-1, 3) - expected).max() < 1e-5
     assert 0 < through.min() < 0.9
+
+
+@pytest.mark.hard_case(12)
+def test_the_view_encoding_is_that_of_float64():
+    expected = [golden.encoded(direction.astype(np.float64), 4) for direction in TOWARDS]
+    assert np.abs(view_encoding(np, TOWARDS) - expected).max() < 2e-7
+
+
+def test_the_residual_is_that_of_float64():
+    """Inputs are the encoded direction, then the colour over white, then the features (eq. 7)."""
+    draw = np.random.default_rng(4)
+    network = ViewNetwork(*(draw.normal(0, 0.5, shape).astype(np.float32) for shape in SHAPES))
+    colour, features = draw.random((20, 3), np.float32), draw.random((20, 4), np.float32)
+    expected = [golden.residual(network, *row) for row in zip(colour, features, TOWARDS, strict=True)]
+    assert np.abs(view_residual(np, network, colour, features, TOWARDS) - expected).max() < 1e-6
+
+
+def test_the_hash_grid_covers_the_domain():
+    """Its first vertex lies at -1 and its last at 1; what lies a rounding outside belongs to the border."""
+    family = HashModelConfig(HashGrid(levels=1, coarsest=8, finest=8, log2_size=12))
+    past = np.float32(1.0000002)
+    points = np.float32([[-1, -1, -1], [0, 0, 0], [-past, 0.25, past]])
+    indices, weights = field_inputs(np, family, points)
+    place = (np.stack(np.unravel_index(indices[0], (10,) * 3), axis=-1) * weights[0][..., None]).sum(axis=1)
+    assert place.tolist() == [[0, 0, 0], [4, 4, 4], [0, 5, 8]]

@@ -167,3 +167,64 @@ def test_densities_are_monotone_and_finite(family):
     slope = np.asarray(jax.vmap(jax.grad(lambda r: density_of(jnp, family, r)))(raw))
     assert np.isfinite(density).all() and np.isfinite(slope).all() and (np.diff(density) >= 0).all() and (slope > 0)[raw > -80].all()
     assert np.abs(density - np.asarray(density_of(np, family, np.asarray(raw)))).max() <= 1e-5 * density.max()
+
+
+@pytest.mark.hard_case(20)
+@pytest.mark.parametrize(
+    ("density", "length", "expected"), [(3e38, 10.0, 80), (81.0, 1.0, 80), (-3.0, 2.0, 0), (-3e38, 10.0, 0), (0.25, 3.0, 0.75)]
+)
+def test_optical_depth_is_held_between_0_and_80(density, length, expected):
+    with np.errstate(over="ignore"):
+        assert optical_depth(np, np.float32(density), np.float32(length)) == expected
+    value, slope = jax.value_and_grad(lambda d: optical_depth(jnp, d, jnp.float32(length)))(jnp.float32(density))
+    assert value == expected and slope == (length if 0 < expected < 80 else 0)
+
+
+@pytest.mark.hard_case(18)
+def test_opacity_of_thin_and_thick_intervals():
+    depth = np.float32([1e-30, 1e-9, 1e-4, 0.5, 20, 80])
+    for xnp in (np, jnp):
+        assert np.asarray(opacity(xnp, xnp.asarray(depth))) == pytest.approx(-np.expm1(-depth.astype(np.float64)), rel=3e-7)
+
+
+def test_a_float32_sum_is_not_enough_before_a_far_sample():
+    """2^20 samples, ray after ray: in NumPy no ray's depth may be a difference of large float32 sums."""
+    depth = np.full(2**20, 0.3, np.float32)
+    ray = np.arange(2**20) // 64
+    before = depth_before(np, depth, ray)
+    assert np.abs(before - np.tile(np.arange(64) * 0.3, 2**14)).max() < 5e-5 and before.dtype == np.float32
+
+
+@pytest.mark.hard_case(21)
+def test_where_nothing_is_seen_there_is_no_distance():
+    """The bound is 1e-6 of alpha, and the distance just above it is right."""
+    for alpha, seen in ((1e-6, False), (1.1e-6, True), (0.5, True)):
+        found = mean_distance(np, np.float32(3 * alpha), np.float32(alpha), -1.0)
+        assert found == pytest.approx(3 if seen else -1, rel=1e-6)
+
+
+@pytest.mark.hard_case(25)
+def test_the_bounded_exponential_and_its_slope():
+    """exp from -15 to 10; beyond, the value and the slope at the bound, so that a density that drifted past it comes back."""
+    x = np.float32([-100, -15, -14, 0, 2.5, 9.9, 10, 50])
+    held = np.exp(np.clip(x.astype(np.float64), -15, 10))
+    assert np.asarray(bounded_exp(np, x)) == pytest.approx(held, rel=1e-6)
+    value, slope = jax.vmap(jax.value_and_grad(lambda v: bounded_exp(jnp, v)))(jnp.asarray(x))
+    assert np.asarray(value) == pytest.approx(held, rel=1e-6) and np.asarray(slope) == pytest.approx(held, rel=1e-6)
+
+
+@pytest.mark.hard_case(24)
+def test_densities_of_each_kind_against_float64():
+    raw = np.float32([-60, -5, -1, 0, 0.5, 3, 40])
+    exact = raw.astype(np.float64)
+    for xnp in (np, jnp):
+        x = xnp.asarray(raw)
+        assert np.asarray(density_of(xnp, MlpModelConfig(), x)) == pytest.approx(8 * np.log1p(np.exp(exact + 1)), rel=1e-6)
+        assert np.asarray(density_of(xnp, MlpModelConfig(density="relu"), x)).tolist() == np.maximum(raw, 0).tolist()
+        assert np.asarray(sigmoid(xnp, x)) == pytest.approx(1 / (1 + np.exp(-exact.clip(-30, 30))), rel=1e-6)
+
+
+def test_softness_and_its_slope():
+    for w in (0.0, 0.25, 0.5, 1.0):
+        value, slope = jax.value_and_grad(softness)(jnp.float32(w))
+        assert value == pytest.approx(w * (1 - w)) and slope == pytest.approx(1 - 2 * w)

@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import golden
 from scenes import looking
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, init_params
 from snerg.core.nerf.sampling import CELLS, Domain
+from snerg.core.training import hierarchical_sampler
 from snerg.core.training.config import PRESETS, TrainSettings
 from snerg.core.training.hierarchical_sampler import HierarchicalSampler, rays_loss, render_rays, resampled, spread, stratified
 from snerg.core.training.optimizer import train_step, zero_moments
@@ -324,3 +326,166 @@ def test_the_presets_of_the_paper_take_a_step(pool, preset):
     settings = replace(PRESETS[preset], rays=2)
     _, _, errors = learned(pool, settings, 1)
     assert np.isfinite(errors).all()
+
+
+GOLDEN = MlpModelConfig(width=8, depth=1, degrees=1)
+
+
+def marched(monkeypatch, settings: TrainSettings, params: dict, batch: dict) -> list[np.ndarray]:
+    """The distances [R, K] of the samples of the coarse and of the fine network."""
+    march = hierarchical_sampler._march
+
+    def distances(params, batch):
+        found = []
+        monkeypatch.setattr(hierarchical_sampler, "_march", lambda *of: found.append(of[3]) or march(*of))
+        render_rays(settings, params, batch)
+        monkeypatch.undo()
+        return found
+
+    return [np.asarray(found, np.float64) for found in jax.jit(distances)(params, batch)]
+
+
+def golden_ray(settings: TrainSettings, params: dict, batch: dict, ray: int, along: np.ndarray, even: np.ndarray) -> tuple:
+    """(colour [3], transmittance, sparsity) of one ray with samples at distances [K], in float64 (eqs. 2 to 8)."""
+    origin, direction = batch["origins"][ray].astype(np.float64), batch["directions"][ray].astype(np.float64)
+    found = [golden.raw_mlp(settings.family, params["field"], origin + direction * t) for t in along]
+    density = np.array([golden.density_of(settings.family, raw) for raw, _ in found])
+    ends = np.array([*along[1:], batch["far"][ray]])
+    depths = density * (ends - np.array([batch["near"][ray], *along[1:]]))
+    if settings.opaque:
+        depths[-1] = 80
+    gathered, through, _ = golden.march(depths, np.array([values for _, values in found]))
+    background = batch["background"][ray] if "background" in batch else np.ones(3)
+    colour = golden.shown(params["view"], gathered, through, batch["view_directions"][ray], background)
+    return colour, through, np.log1p(density[even] ** 2 / 0.5).mean()
+
+
+@pytest.mark.hard_case(8, 19, 23)
+@pytest.mark.parametrize("options", [{}, {"opaque": True, "background": "random"}], ids=["white", "opaque, random"])
+def test_the_loss_of_rays_is_that_of_float64(pool, monkeypatch, options):
+    """Coarse and fine colours, sparsity of the evenly spaced samples, alpha; each summed over the rays that meet the domain."""
+    settings = replace(SMALL, family=GOLDEN, rays=10, coarse=6, fine=5, sparsity=0.05, alpha=0.2, **options)
+    batch = scheme_of(pool, settings).batch({}, 0.0).arrays
+    batch["used"][3] = False
+    batch["rays"] = np.float32(batch["used"].sum())
+    params = init_params(GOLDEN, "deferred", True, np.random.default_rng(1))
+    distances = marched(monkeypatch, settings, params, batch)
+    assert [d.shape for d in distances] == [(10, 6), (10, 11)] and all((np.diff(d) >= 0).all() for d in distances)
+    expected = error = 0.0
+    for network, along in zip((params["coarse"], params), distances, strict=True):
+        error = 0.0
+        for ray in np.flatnonzero(batch["used"]):
+            even = np.flatnonzero(np.isin(along[ray], distances[0][ray]))
+            colour, through, sparsity = golden_ray(settings, network, batch, ray, along[ray], even)
+            alpha = batch["target"][ray, 3] / 255
+            background = batch["background"][ray] if "background" in batch else 1.0
+            wanted = batch["target"][ray, :3] / 255 * alpha + (1 - alpha) * background
+            error += ((colour - wanted) ** 2).mean() / batch["rays"]
+            expected += (0.05 * sparsity + 0.2 * (1 - through - alpha) ** 2) / batch["rays"]
+        expected += error
+    loss, told = jax.jit(partial(rays_loss, settings, True))(params, batch)
+    assert float(loss) == pytest.approx(expected, rel=5e-6) and float(told["error"]) == pytest.approx(error, rel=5e-6)
+
+
+def test_the_coarse_network_learns_nothing_through_the_fine_samples_places(pool):
+    settings = replace(SMALL, family=GOLDEN, rays=10, coarse=6, fine=5)
+    batch, params = scheme_of(pool, settings).batch({}, 0.0).arrays, init_params(GOLDEN, "deferred", True, np.random.default_rng(1))
+    slope = jax.jit(jax.grad(lambda p: render_rays(settings, p, batch)[1].colour.sum()))(params)
+    assert all(not np.asarray(g).any() for g in jax.tree.leaves(slope["coarse"])) and any(
+        np.asarray(g).any() for g in jax.tree.leaves(slope["field"])
+    )
+
+
+def test_jitter_fine_samples_and_noise_are_independent(pool, monkeypatch):
+    """Each has a stream of its own, and each ray its own seed; another batch has other numbers."""
+    settings = replace(SMALL, family=GOLDEN, rays=400, coarse=12, fine=12, density_noise=1.0)
+    scheme, params = scheme_of(pool, settings), init_params(GOLDEN, "deferred", True, np.random.default_rng(1))
+
+    def numbers(params, batch):
+        found = {}
+        for name in ("_uniform", "_normal"):
+            draw = getattr(hierarchical_sampler, name)
+
+            def keep(*of, draw=draw, name=name):
+                return found.setdefault(f"{name} {len(found)}", draw(*of))
+
+            monkeypatch.setattr(hierarchical_sampler, name, keep)
+        render_rays(settings, params, batch)
+        monkeypatch.undo()
+        return found
+
+    drawn = {}
+    for turn in ("first", "second"):
+        batch = scheme.batch({}, 0.0).arrays
+        drawn |= {f"{name} {turn}": np.asarray(values) for name, values in jax.jit(numbers)(params, batch).items()}
+    assert len(drawn) == 8 and len(np.unique(batch["seed"])) == 400
+    columns = [values[:, :12].ravel() for values in drawn.values()]
+    assert np.abs(np.corrcoef(columns) - np.eye(8)).max() < 0.07
+    for name, values in drawn.items():
+        assert np.abs(np.corrcoef(values[:, :12].T) - np.eye(12)).max() < 0.25
+        if "uniform" in name:
+            assert values.min() >= 0 and values.max() < 1 and abs(values.mean() - 0.5) < 0.02
+        else:
+            assert abs(values.mean()) < 0.05 and abs(values.std() - 1) < 0.05
+
+
+def test_distances_are_those_of_float64():
+    near, far, random = np.float32([0.5, 2]), np.float32([2, 3]), np.float32([[0, 0.5, 0.25, 0.75]] * 2)
+    share = (np.arange(4) + random.astype(np.float64)) / 4
+    for xnp in (np, jnp):
+        linear = np.asarray(stratified(xnp, near, far, xnp.asarray(random), False))
+        inverse = np.asarray(stratified(xnp, near, far, xnp.asarray(random), True))
+        assert linear == pytest.approx(near[:, None] + (far - near)[:, None] * share, rel=1e-6)
+        assert inverse == pytest.approx(1 / (1 / near[:, None] + (1 / far - 1 / near)[:, None] * share), rel=1e-6)
+
+
+@pytest.mark.hard_case(15)
+def test_resampling_inverts_the_distribution_of_float64():
+    """Also at its ends, at chances on a step, and in intervals of weight 0, which PADDING alone reaches."""
+    weights = np.array([0.0, 2, 0, 1, 1])
+    borders = np.array([1.0, 2, 4, 5, 5.5, 7])
+    share = (1 - 1e-5) * weights / weights.sum() + 1e-5 / 5
+    steps = np.concatenate([[0], np.cumsum(share)])
+    chances = np.array([0.0, 1e-6, 0.1, 0.25, 0.4999, 0.500005, 0.6, 0.75, 0.8, 0.999, np.nextafter(np.float32(1), np.float32(0))])
+    expected = np.interp(chances, steps, borders)
+    found = np.asarray(resampled(*(jnp.asarray(a[None], jnp.float32) for a in (borders, weights, chances))))[0]
+    assert np.abs(found - expected)[[0, 2, 3, 4, 6, 7, 8, 9, 10]].max() < 2e-4 and 1 <= found[1] <= 2 and 4 <= found[5] <= 5.5
+    assert np.asarray(spread(jnp.asarray([[0.0, 0.5, 0.999]])))[0] == pytest.approx([0, 0.5, 0.999667], abs=1e-5)
+
+
+def test_the_hierarchical_sampler_measures_its_occupancy(pool):
+    """Every 256 steps; a cell is held while its opacity over one interval is above 0.01, or it is not measured."""
+    scheme = scheme_of(pool, replace(SMALL, spacing=0.5))
+    scheme.occupancy.most[:] = 0.02
+    scheme.occupancy.most[:3] = np.float32([0.0201, np.inf, 0])
+    scheme.occupancy.cells = np.arange(0)
+    for step in range(1, 256):
+        scheme.learn({}, step, {})
+        assert scheme.occupied.all()
+    scheme.density = lambda params, x: np.zeros(len(x), np.float32)
+    scheme.learn({}, 256, {})
+    assert np.flatnonzero(scheme.occupied).tolist() == [0, 1]
+
+
+def test_resampling_covers_the_last_interval():
+    """A sum of many float32 shares is not 1: what is left of 1 belongs to the last interval, and nothing lies behind it."""
+    draw = np.random.default_rng(2)
+    weights = jnp.asarray(draw.random((64, 4000), np.float32))
+    borders = jnp.tile(jnp.linspace(0, 1, 4001), (64, 1))
+    found = np.asarray(resampled(borders, weights, jnp.full((64, 1), np.nextafter(np.float32(1), np.float32(0)))))
+    assert found.min() >= 1 - 1 / 4000 and found.max() <= 1
+
+
+def test_density_noise_changes_what_is_seen_and_not_its_sparsity(pool):
+    settings = replace(SMALL, family=GOLDEN, rays=20, coarse=6, fine=5)
+    batch, params = scheme_of(pool, settings).batch({}, 0.0).arrays, init_params(GOLDEN, "deferred", True, np.random.default_rng(1))
+    plain, noisy = (jax.jit(partial(render_rays, replace(settings, density_noise=noise)))(params, batch) for noise in (0.0, 2.0))
+    assert (
+        np.abs(plain[0].sparsity - noisy[0].sparsity).max() < 1e-6 and np.abs(plain[0].transmittance - noisy[0].transmittance).max() > 0.05
+    )
+
+
+@pytest.mark.hard_case(16)
+def test_an_infinite_weight_spoils_its_ray_from_its_first_sample_on():
+    weights = jnp.ones((1, 8)).at[0, 5].set(jnp.inf)
+    assert np.isnan(resampled(jnp.linspace(2.0, 6, 9)[None], weights, jnp.asarray([[0.0, 0.1, 0.5, 0.99]]))).all()

@@ -131,3 +131,31 @@ def test_empty_surroundings_are_passed_over():
     drawn = pool.draw(5000, np.random.default_rng(0))
     row, column = np.divmod(drawn, 120)
     assert 30 < row.min() < 40 and row.max() < 60 and 50 < column.min() < 60
+
+
+def test_the_pixels_past_32768_that_a_mask_leaves_are_drawn():
+    """The numbers of pixels past 2^15 and 2^16 are no 16-bit numbers."""
+    camera = Camera(400, 300, (400.0, 400.0), (200, 150), looking((1, -3, 2), (0, 0, 0)))
+    mask = np.zeros((300, 400), bool)
+    places = [(0, 7), (82, 5), (170, 399), (299, 399)]
+    for place in places:
+        mask[place] = True
+    pool = RayDataset([np.zeros((300, 400, 3), np.uint8)] * 2, [camera] * 2, DOMAIN, [mask, np.zeros((300, 400), bool)])
+    drawn = pool.draw(4000, np.random.default_rng(0))
+    share = np.array([(drawn == row * 400 + column).mean() for row, column in places])
+    assert share.sum() == 1 and np.abs(share - 0.25).max() < 0.05
+
+
+def test_every_pixel_is_drawn_equally_often():
+    cameras = make_cameras(width=6, height=5)[:2]
+    pool = RayDataset(blank(cameras), cameras, DOMAIN)
+    counts = np.bincount(pool.draw(60_000, np.random.default_rng(3)), minlength=60)
+    assert len(counts) == 60 and np.abs(counts / 1000 - 1).max() < 0.15
+
+
+def test_pixels_are_numbered_view_after_view():
+    cameras = make_cameras(width=6, height=5)[:2]
+    images = blank(cameras, 4)
+    images[1][3, 2] = [9, 8, 7, 6]
+    pool = RayDataset(images, cameras, DOMAIN)
+    assert pool.pixels[30 + 3 * 6 + 2].tolist() == [9, 8, 7, 6] and pool.view(np.array([0, 29, 30, 59])).tolist() == [0, 0, 1, 1]

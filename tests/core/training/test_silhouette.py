@@ -54,3 +54,9 @@ def test_a_photograph_has_no_backdrop():
 def test_a_background_that_changes_is_no_backdrop():
     assert plain_colour("random") is None and plain_colour("#102030").tolist() == [16, 32, 48]
     assert not backdrop("auto", [], False, "random").chosen
+
+
+def test_what_shares_one_channel_with_the_backdrop_is_no_backdrop():
+    image = ring()
+    image[image[..., 0] == 90] = [255, 20, 30]
+    assert np.array_equal(silhouette(image, WHITE), silhouette(ring(), WHITE))

@@ -52,3 +52,12 @@ def test_packing_stops_where_it_is_told_to_and_says_so():
     farthest = [got.distance[got.ray == r].max() for r in range(3)]
     assert got.cut.tolist() == [False, False, True]
     assert 3.9 < farthest[0] < 4 and 2.9 < farthest[1] < 3 and 2.4 < farthest[2] < 2.5
+
+
+def test_columns_that_fill_no_tile_have_their_own(monkeypatch):
+    monkeypatch.setattr("snerg.core.training.termination_depth.MOST_TILES", 60)
+    cameras = make_cameras(width=9, height=7)[:3]
+    ends = TerminationDepths(RayDataset([np.zeros((7, 9, 3), np.uint8) for _ in cameras], cameras, DOMAIN))
+    tile = ends.tile(np.arange(189)).reshape(3, 7, 9)
+    assert ends.side == 2 and np.unique(tile).tolist() == list(range(60)) and np.bincount(tile.ravel()).max() == 4
+    assert len(ends.depths) == 60 and tile[0, 0, 8] != tile[0, 2, 0]
