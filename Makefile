@@ -14,7 +14,7 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport fuzz test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup demo bench-train bench-estimate bench-presets bench-grid bench-viewport fuzz mutation test test-slow test-blender lint format extension release docs pictures clean python
 
 setup: $(VENV)/.installed build/viewer.stamp
 
@@ -67,6 +67,11 @@ bench-presets: setup
 # Every reader on N damaged files (default: 5000); SEED=1: others.
 fuzz: setup
 	$(PY) bench/fuzz.py --count $(or $(N),5000) --seed $(or $(SEED),0)
+
+# Naive forms put back one at a time, and the tests that should see them: all of mutation/*.toml; KIND=losses,ndc: some lists; NAME=KIND/NAME: one;
+# PART=10 SEED=TEXT: a tenth drawn with that seed, without those that take minutes. JOBS=2: workers.
+mutation: setup
+	$(PY) mutation/run.py $(if $(KIND),--kind "$(KIND)") $(if $(NAME),--name "$(NAME)") $(if $(PART),--part $(PART)) $(if $(SEED),--seed "$(SEED)") $(if $(JOBS),--jobs $(JOBS))
 
 # A file of tests stays in one process, because its tests share what it makes. Blender goes first: it crashes where a browser was driven before.
 test: setup
