@@ -17,6 +17,7 @@ from snerg.core.rendering.render import MarchSettings, march_rays
 from snerg.core.scene.scene import Scene
 
 ROUNDING = 2e-6
+SEEN = (1 - 6 / 255) ** 100  # of what stands behind 100 voxels of a veil of 6 levels
 AHEAD = np.array([[-1.0, 2.0, 2.0]]), np.array([[1.0, 0.0, 0.0]])
 FALLS = (np.array([-1.0] * 3 + [0.0] * 4), np.array([0.0] * 3 + [1.0] * 4))
 
@@ -35,8 +36,8 @@ def switching_network(direction: float) -> ViewNetwork:
     arrays = [np.zeros(shape, np.float32) for shape in SHAPES]
     arrays[0][30, 0], arrays[1][0] = 1.0, 1.0  # the first feature, on the rising side of a ReLU
     arrays[2][0, 0] = 1.0
-    arrays[4][0] = direction * 4.0
-    arrays[5][:] = -direction * 4.0 * 1.05  # the middle of the sigmoid where the feature is 0.05
+    arrays[4][0] = direction * 40.0
+    arrays[5][:] = -direction * 40.0 * (1 + SEEN)  # the middle of the sigmoid
     return ViewNetwork(*arrays)
 
 
@@ -73,13 +74,13 @@ def test_light_of_samples_behind_a_veil_counts_twice() -> None:
 def test_a_network_at_its_bound_stays_within_the_tolerance(direction: float) -> None:
     """Features that rise behind black fog, through a network whose residual changes as much as its weights allow."""
     network = switching_network(direction)
-    scene = veil((0,) * 7 + (6,), (0, 0, 0) + (6,) * 4 + (6,), network)
+    scene = veil((0,) * 7 + (6,), (0, 0, 0) + (6,) * 4 + (6,), network, 700)
     values, through, _ = dense_rays(scene, *AHEAD, 0.0)
     truth = values[:, :3] + residual(scene, values[:, :3] + through[:, None], values[:, 3:], AHEAD[1] @ scene.view_rotation.T)
     for tolerance in (1e-3, 0.02):
         got = march_rays(scene, *AHEAD, MarchSettings(tolerance))
         error = np.abs(shade(network, got, AHEAD[1] @ scene.view_rotation.T) - truth).max()
-        assert 0.3 * tolerance < error < tolerance + ROUNDING
+        assert 0.6 * tolerance < error < tolerance + ROUNDING
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
@@ -92,7 +93,7 @@ def test_the_bound_of_a_residual_is_reached_and_not_passed(direction: float) -> 
         scene = veil((0,) * 8, (0,) * 8, network, 40)
         return residual(scene, np.zeros((1, 3)), np.array([[feature, 0, 0, 0]]), towards)
 
-    change = np.abs(shown(0.0505) - shown(0.0495)).max()
+    change = np.abs(shown(SEEN + 0.0005) - shown(SEEN - 0.0005)).max()
     assert 0.99 * residual_bound(network, low, high) < change <= residual_bound(network, low, high) * (1 + 1e-6)
 
 
@@ -138,7 +139,7 @@ def test_opacity_correction_of_colour_that_falls() -> None:
 
 def test_an_excess_is_the_smaller_of_a_ratio_and_of_roundings() -> None:
     """By hand: a level above opacity in thick fog is a ratio, in a scene with light without opacity a sum over the longest ray."""
-    thick = veil((100, 0, 0, 50), (10, 0, 0, 10), length=60)
+    thick = veil((100, 0, 0, 50), (11, 0, 0, 10), length=160)
     assert premultiplied_excess(thick) == pytest.approx(2.0)
     stray = veil((1, 0, 0, 0), (10, 9, 0, 9), length=60)
     diagonal = np.sqrt(60**2 + 4**2 + 4**2) + 1

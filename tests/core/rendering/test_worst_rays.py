@@ -75,15 +75,15 @@ def test_coarse_pixels_on_a_large_sparse_grid_lose_nothing() -> None:
     draw = np.random.default_rng(3)
     scene = sparse_grid(draw, (700, 500, 600), 300)
     middle = np.array(scene.shape) * VOXEL / 2
-    for index, eye in enumerate(((0.5, -0.9, 0.4), (0.05, 0.1, 0.0), (-1.4, 0.2, 0.9))):
+    for index, eye in enumerate(((0.5, -0.9, 0.4), (-0.4, 0.8, -0.3), (0.05, 0.1, 0.0), (-1.1, 0.2, 0.9), (1.0, -0.1, -0.8))):
         pose = looking(tuple(middle + np.array(eye) * 40), tuple(middle))
-        camera = Camera(40, 40, (24.0, 24.0), (20, 20), pose)
-        rays = camera.rays(tiled_pixels(40, 40))
+        camera = Camera(32, 32, (19.0, 19.0), (16, 16), pose)
+        rays = camera.rays(tiled_pixels(32, 32))
         skipped, whole = (march_rays(scene, *rays, MarchSettings(skip=skip, stop_transmittance=0.0)) for skip in (True, False))
-        assert (whole.transmittance < 1).sum() > 25, index
+        assert (whole.transmittance < 1).sum() > 15, index
         assert np.abs(skipped.transmittance - whole.transmittance).max() < 1e-6
         assert np.abs(skipped.colour - whole.colour).max() < 1e-6 and np.abs(skipped.depth - whole.depth).max() < 1e-3
-        some = np.flatnonzero(whole.transmittance < 1)[:60]
+        some = np.flatnonzero(whole.transmittance < 1)[:40]
         assert np.abs(dense_rays(scene, rays[0][some], rays[1][some], 0.0)[1] - whole.transmittance[some]).max() < 1e-4
 
 
@@ -186,7 +186,7 @@ def expected_visits(scene: Scene, origins: np.ndarray, directions: np.ndarray, s
 
 @pytest.mark.hard_case(35, 33)
 def test_a_ray_that_ended_goes_no_further_than_its_samples() -> None:
-    """Samples of one pass lie behind the one with which a ray ends; behind a wall nothing may be visited, or a bake keeps what none sees."""
+    """Samples of one pass lie behind the one with which a ray ends; behind a wall nothing is visited, or a bake keeps what none sees."""
     values = np.zeros((40, 12, 12, 4), np.uint8)
     values[10:30] = (200, 200, 200, 255)
     scene = snerg_from_volume(values, None, grid_to_world=np.eye(4), voxel_size=VOXEL)
