@@ -31,7 +31,7 @@ def test_half_features_are_those_of_float64():
     voxels[..., 3:7] = np.minimum(voxels[..., 3:7], voxels[..., 7:])
     voxels[:2] = 255
     voxels[2:4, :2, :2, 3:] = 0
-    voxels[4, 4, 4, 3:7] = 255  # above its alpha, as other programs store it
+    voxels[4:6, 4:6, 4:6, 3:] = 255, 200, 41, 255, 40  # above its alpha, as other programs store it
     groups = voxels[..., 3:].astype(np.float64).reshape(4, 2, 3, 2, 5, 2, 5).sum(axis=(1, 3, 5))
     with np.errstate(divide="ignore", invalid="ignore"):
         exact = np.where(groups[..., 4:] > 0, 255 * groups[..., :4] / groups[..., 4:], 0).clip(0, 255)

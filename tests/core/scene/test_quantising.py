@@ -111,7 +111,7 @@ class Ripples:
 
     axis: int
     voxel: float
-    level: float = 0.25
+    level: float = 0.5
     occupancy: None = None
     ndc: None = None
     network: None = None
@@ -122,7 +122,7 @@ class Ripples:
     def query(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         place = points[:, self.axis] / self.voxel + 0.5
         off = place - np.round(place)
-        alpha = (1 + 12 * self.level * off**2) / 255
+        alpha = (1.25 + 12 * self.level * off**2) / 255
         density = (-np.log1p(-alpha) / self.voxel).astype(np.float32)
         return density, np.full((len(points), 3), 0.5, np.float32), np.zeros((len(points), 0), np.float32)
 
@@ -137,7 +137,11 @@ def test_dither_and_jitter_are_independent(axis: int) -> None:
     box, settings = Box.axis_aligned([-1, -1, -1], [1, 1, 1]), {"resolution": 40, "supersampling": 2, "alpha_threshold": 1e-4}
     fog = Ripples(axis, 2 / 40)
     exact, stored = (bake(fog, box, (), BakeSettings(**settings, quantise=quantise)) for quantise in (False, True))
-    own = (slice(None), *(slice(2, 22),) * 3, -1)
-    error = stored.cells[own] - 255 * exact.cells[own].astype(np.float64)
-    assert exact.cells[own].std() * 255 > 0.1, "the jitter tells in the values"
-    assert abs(error.mean()) < 4 * 0.5 / np.sqrt(error.size)
+    values, got = (scene.cells[:, 1:-1, 1:-1, 1:-1].reshape(-1, 4).astype(np.float64) for scene in (exact, stored))
+    held = values[:, -1] > 0
+    level, got = 255 * values[held, -1], got[held]
+    error = np.stack([*(got[:, :3] - 0.5 * got[:, 3:]).T, got[:, 3] - level], axis=-1)
+    error[got[:, 3] == 0] = np.nan  # such a voxel has no colour
+    assert level.std() > 0.1 and level.min() > 1, "the jitter tells in the values"
+    for part in np.array_split(np.argsort(level), 8):  # what is known of the jitter of a voxel tells nothing of its dither
+        assert np.abs(np.nanmean(error[part], axis=0)).max() < 4.5 * 0.5 / np.sqrt(len(part))
