@@ -220,6 +220,15 @@ def test_the_published_viewer_starts_upright_at_the_front() -> None:
         assert up[2] > 0.7 and ahead[1] > 0.7
 
 
+def test_a_turned_scene_is_as_upright_as_a_cube_can_be_and_never_mirrored() -> None:
+    draw = np.random.default_rng(0)
+    for _ in range(100):
+        axes = rotation(tuple(draw.uniform(-3, 3, 3)))
+        turn = viewer_axes(axes)
+        assert round(np.linalg.det(turn)) == 1 and np.abs(turn).sum(axis=0).tolist() == [1, 1, 1]
+        assert (axes @ turn)[2, 1] > np.abs(axes[2]).max() - 0.2
+
+
 def test_sixteen_bits_are_rounded_to_the_nearest_of_eight(tmp_path: Path) -> None:
     """Every value against whole numbers: cutting the low byte off would lose half a level."""
     values = np.arange(65536, dtype=np.uint16).reshape(256, 256)
@@ -241,3 +250,15 @@ def test_a_box_in_device_coordinates_is_not_turned_for_the_reference_layout() ->
     pose[:3, :3] = rotation((0, 0, 0.1))
     with pytest.raises(SnergError, match="turned"):
         viewer_scene(replace(forward, grid_to_world=pose))
+
+
+def test_jpeg_keeps_colours_of_neighbours_apart() -> None:
+    """Features of neighbours differ as colours seldom do: at full chroma resolution columns of red and blue stay what they are."""
+    import io
+
+    from snerg.core.export.image_files import encode_image
+
+    pixels = np.zeros((32, 32, 3), np.uint8)
+    pixels[:, ::2, 0], pixels[:, 1::2, 2] = 200, 200
+    back = np.asarray(Image.open(io.BytesIO(encode_image("feature", pixels, CodecSettings("jpeg", 95)))).convert("RGB")).astype(int)
+    assert np.abs(back - pixels).mean() < 10

@@ -100,7 +100,7 @@ def probe() -> FieldProbe:
         voxels=voxels,
         held=held,
         kept=kept,
-        samples=(1, 2, 8),
+        samples=(1, 2, 16),
         filled=(centres, 0.05),
         pilot=0.08,
         rates=RATES,
@@ -125,16 +125,15 @@ def test_voxels_are_points_times_their_share(probe: FieldProbe) -> None:
     corner = Box.axis_aligned([-1, -1, -1], [-0.5, -0.5, -0.5])
     inside = corner.contains(probe.points)
     share = (probe.held[1][inside].sum() + 8 * 0.4) / (inside.sum() + 8)
-    assert estimate(probe, corner, BakeSettings(voxel_size=0.05), coefficients=TABLE).held == pytest.approx(
-        inside.sum() * share * 80, abs=1
-    )
+    small = estimate(probe, corner, BakeSettings(voxel_size=0.05), coefficients=TABLE)
+    assert small.held == pytest.approx(inside.sum() * share * 80, abs=1)
     assert said(probe, visibility=False).kept == whole.held > whole.kept
     alone = replace(probe, field=replace(probe.field, cameras=()))
     assert said(alone).kept == whole.held
 
 
 def test_the_samples_of_the_nearest_size_by_ratio(probe: FieldProbe) -> None:
-    for voxel, samples in ((0.2, 1), (0.08, 1), (0.07, 2), (0.0354, 2), (0.0353, 8), (0.01, 8)):
+    for voxel, samples in ((0.2, 1), (0.08, 1), (0.07, 2), (0.0354, 2), (0.0353, 16), (0.01, 16)):
         assert said(probe, voxel_size=voxel, supersampling=0).samples == samples
     assert said(probe, supersampling=5).samples == 5
 
@@ -156,7 +155,7 @@ def test_seconds_are_the_sum_of_their_parts(probe: FieldProbe) -> None:
     assert said(probe, visibility=False).seconds["visibility"] == 0
     tried = said(probe, supersampling=0)  # 1 to 4 samples of the field's 2: 7 in all, at eight corners, and the field itself
     assert tried.seconds["samples"] == pytest.approx(2e-6 * 1000 * 8 * (4 + 8 * (1 + 2 + 4)))
-    many = said(probe, voxel_size=0.025, supersampling=0)  # 8: 1 to 16
+    many = said(probe, voxel_size=0.025, supersampling=0)  # 16, and no more
     assert many.seconds["samples"] == pytest.approx(2e-6 * 1000 * 8 * (4 + 8 * (1 + 2 + 4 + 8 + 16)))
     assert found.bake == pytest.approx(sum(found.seconds[n] for n in ("start", "occupancy", "visibility", "samples", "prefilter")))
     assert found.finishing == pytest.approx(found.seconds["refine"]) and "prune" not in found.seconds
