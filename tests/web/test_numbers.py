@@ -301,3 +301,21 @@ def node_typed(script: str) -> Any:
     esbuild = [str(ROOT / "node_modules" / ".bin" / "esbuild"), "--loader=ts", "--format=esm"]
     plain = subprocess.run(esbuild, input=script, capture_output=True, text=True, check=True).stdout
     return json.loads(subprocess.run(["node", "--input-type=module"], input=plain, capture_output=True, text=True, check=True).stdout)
+
+
+def test_no_place_takes_more_than_eight_bits() -> None:
+    """Whatever a device says that it holds."""
+    found = node("""
+        import { atlasLayout } from "./volume/atlas_layout";
+        console.log(JSON.stringify(atlasLayout(256 ** 3 + 1, 16384, 7)));
+    """)
+    assert max(found["blocks"]) <= 255 and found["pages"] * found["cellsPerPage"] > 256**3
+
+
+def test_distances_end_at_what_a_byte_holds() -> None:
+    found = node("""
+        import { chebyshevDistance } from "./volume/distance";
+        const row = (n, at) => Array.from(chebyshevDistance(Array.from({ length: n }, (_, i) => (i === at ? 1 : 0)), [n, 1, 1]));
+        console.log(JSON.stringify([row(300, 0), row(3, -1)]));
+    """)
+    assert found == [[min(i, 255) for i in range(300)], [255] * 3]

@@ -219,7 +219,7 @@ def test_a_step_is_adams_and_leaves_what_no_ray_needs() -> None:
     from snerg.core.baking.fit_voxels import Fitted, _step, pixel_errors, premultiplied
 
     draw = np.random.default_rng(5)
-    samples = given([2, 3], draw.integers(0, 30000, 5))
+    samples = given([2, 3], np.array([165, *draw.integers(0, 30000, 4)]))  # the first lies half outside of the scene
     diffuse = snerg_from_volume(np.full((30, 30, 30, 4), 90, np.uint8), None, grid_to_world=np.eye(4), voxel_size=0.1)
     chosen = Voxels.of(diffuse, samples)
     batch = next(batches(samples, np.arange(2), 4, chosen))
@@ -322,6 +322,7 @@ def test_fitted_fog_keeps_its_mean() -> None:
 
 def test_a_batch_may_be_just_full() -> None:
     assert list(batch_ends(given([16, 16, 16, 1], np.zeros(49, int)), np.arange(4), 4)) == [(0, 3), (3, 4)]
+    assert list(batch_ends(given([1] * 10, np.zeros(10, int)), np.arange(10), 4)) == [(0, 3), (3, 6), (6, 9), (9, 10)]
     assert list(batch_ends(given([16, 16, 17, 1], np.zeros(50, int)), np.arange(4), 4)) == [(0, 2), (2, 4)]
 
 
