@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -294,6 +295,44 @@ def test_what_a_lossy_image_adds_is_limited_to_alpha() -> None:
     """
     bounded, exact = node_typed(script)
     assert bounded == [[40, 40, 3, 40], [40, 2, 40, 40]] and exact == [[50, 40, 3, 40], [45, 2, 41, 60]]
+
+
+def png_with_every_filter(pixels: np.ndarray) -> bytes:
+    """A PNG of [H, W, C] whose rows have the filters 0 to 4 in turn, by the specification's formulas."""
+    height, width, channels = pixels.shape
+    rows = np.pad(pixels.astype(int).reshape(height, -1), ((1, 0), (channels, 0)))
+    data = bytearray()
+    for y in range(height):
+        above, row = rows[y], rows[y + 1]
+        data.append(y % 5)
+        for i in range(channels, len(row)):
+            a, b, c = int(row[i - channels]), int(above[i]), int(above[i - channels])
+            paeth = min(((abs(b - c), 0, a), (abs(a - c), 1, b), (abs(a + b - 2 * c), 2, c)))[2]
+            data.append((int(row[i]) - (0, a, b, (a + b) // 2, paeth)[y % 5]) % 256)
+    kind = {1: 0, 3: 2, 4: 6}[channels]
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return len(body).to_bytes(4, "big") + name + body + zlib.crc32(name + body).to_bytes(4, "big")
+
+    header = width.to_bytes(4, "big") + height.to_bytes(4, "big") + bytes([8, kind, 0, 0, 0])
+    packed = zlib.compress(bytes(data))
+    middle = chunk(b"IDAT", packed[:20]) + chunk(b"IDAT", packed[20:])
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + middle + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_each_filter_of_a_png_is_undone(tmp_path: Path, channels: int) -> None:
+    draw = np.random.default_rng(channels)
+    pixels = draw.integers(0, 256, (23, 17, channels)).astype(np.uint8)
+    pixels[10:] = draw.integers(0, 3, (13, 17, channels))  # ties
+    (tmp_path / "it.png").write_bytes(png_with_every_filter(pixels))
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "it.png")).reshape(pixels.shape), pixels)
+    found = node(f"""{SOURCE}
+        import {{ decodePng }} from "./data/png";
+        const bytes = await from({json.dumps(str(tmp_path))}).read("it.png");
+        console.log(JSON.stringify(Array.from(await decodePng(bytes, "it", 17, 23, {channels}))));
+    """)
+    assert found == pixels.reshape(-1).tolist()
 
 
 def node_typed(script: str) -> Any:

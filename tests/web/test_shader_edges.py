@@ -1,4 +1,4 @@
-"""What a page's shader must not pass over: single faint voxels anywhere, borders of blocks, the last light, clip planes, rays along axes."""
+"""What a page must not pass over: single faint voxels anywhere, borders of blocks, the last light, clip planes, rays along axes."""
 
 from __future__ import annotations
 

@@ -86,6 +86,7 @@ def test_dropped_voxels_go_from_every_apron_and_no_other_does() -> None:
     own = own_voxels(scene)
     dropped = np.zeros(len(own), bool)
     dropped[np.random.default_rng(0).choice(len(own), len(own) // 3, replace=False)] = True
+    dropped.reshape(-1, 32**3)[0] = True  # a block whose apron alone holds something
     left = without(scene, dropped)
     expected = scene.cells.reshape(-1, 4).copy()
     expected[(own != NO_VOXEL) & dropped[own]] = 0
