@@ -59,6 +59,8 @@ def test_voxels_just_behind_a_blocks_border_are_seen(page: Page, tmp_path: Path,
     draw = np.random.default_rng(0)
     for x, z in ((29, 30), (30, 75), (59, 119), (60, 15), (89, 60), (90, 140), (119, 29), (120, 90), (149, 59), (0, 0)):
         values[x, draw.integers(4, 36), z] = (90, 60, 30, 120)
+    for x, y, z in draw.integers(0, values.shape[:3], (150, 3)):  # most cells hold few, far apart
+        values[x, y, z] = (30, 60, 90, 120)
     cameras = [Camera(150, 120, (120.0, 120.0), (75, 60), looking(eye, MIDDLE)) for eye in ((1.0, -8.0, 2.0), (7.0, 3.0, -3.0))]
     check(page, tmp_path / "web", serve, scene_of(values), cameras)
 
@@ -101,10 +103,11 @@ def test_rays_along_the_axes_are_seen(page: Page, tmp_path: Path, serve: Serve) 
     check(page, tmp_path / "web", serve, scene_of(values), cameras, 2.6 * LEVEL)
 
 
-@pytest.mark.hard_case(53)
-def test_opacity_correction_in_the_page(page: Page, tmp_path: Path, serve: Serve) -> None:
-    """Fog and surfaces, below, at and above the opacity from which a ray is opaque."""
-    scene = make_snerg((40, 45, 50), diffuse=True, opacity_correction=True)
+@pytest.mark.hard_case(43, 53)
+@pytest.mark.parametrize("diffuse", [True, False], ids=["corrected", "network"])
+def test_opacity_correction_and_the_network_over_black(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
+    """Fog and surfaces, below, at and above the opacity from which a ray is opaque; light where nothing is would show on black alone."""
+    scene = make_snerg((40, 45, 50), diffuse=diffuse, opacity_correction=diffuse)
     write_bundle(scene, make_cameras(), tmp_path / "web")
     address = serve(tmp_path / "web")
     for index in (0, 2):
