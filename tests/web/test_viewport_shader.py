@@ -108,6 +108,25 @@ def stray() -> Scene:
     return snerg_from_volume(values, make_snerg((20, 20, 20)).network, grid_to_world=pose, voxel_size=2 / 30)
 
 
+def sparse() -> Scene:
+    """Single voxels in a few of many blocks."""
+    values = np.zeros((150, 40, 150, 4), np.uint8)
+    for x, y, z in np.random.default_rng(0).integers(0, values.shape[:3], (22, 3)):
+        values[x, y, z] = (30, 60, 90, 120)
+    pose = np.eye(4)
+    pose[:3, 3] = -np.array(values.shape[:3]) / 40
+    return snerg_from_volume(values, None, grid_to_world=pose, voxel_size=0.05)
+
+
+def fog() -> Scene:
+    """Even fog, in which each step more or less shows."""
+    values = np.zeros((60, 60, 40, 4), np.uint8)
+    values[:] = (12, 9, 4, 12)
+    pose = np.eye(4)
+    pose[:3, 3] = -np.array(values.shape[:3]) / 40
+    return snerg_from_volume(values, None, grid_to_world=pose, voxel_size=0.05)
+
+
 AROUND = [looking((0.9, -4.2, 1.1), (0, 0, 0)), looking((-3.1, 2.2, -2.4), (0, 0, 0))]
 TURNED = {"angles": (0.2, 0.1, 0.3), "centre": (0.1, 0.2, 0.3)}
 SCENES = {
@@ -119,6 +138,14 @@ SCENES = {
         [Camera(50, 50, (14.0, 14.0), (25.2, 24.7), looking(e, (0, 0, 0)), "orthographic") for e in ((4.0, 0, 0), (0, 0, 4.0))],
     ),
     "veil": (veil(), [Camera(40, 40, (400.0, 400.0), (20, 20), looking((-14.0, 0.3, 0.2), (0, 0, 0)))]),
+    "sparse": (sparse(), [Camera(60, 48, (48.0, 48.0), (30, 24), looking((1.0, -8.0, 2.0), (0, 0, 0)))]),
+    "clipped": (
+        fog(),
+        [
+            Camera(40, 32, (20.0, 20.0), (20, 16), looking((0.1, -2.2, 0.3), (0.1, 2, 0.1)), near=n, far=f)
+            for n, f in ((1.5, 9.0), (0.0, 2.6))
+        ],
+    ),
     "stray": (stray(), [Camera(60, 60, (70.0, 70.0), (30, 30), AROUND[0])]),
 }
 
