@@ -44,3 +44,12 @@ def test_fog_stays_as_thick() -> None:
 
 def test_an_empty_scene_stays_empty() -> None:
     assert len(coarse_scene(empty_snerg()).cells) == 0
+
+
+@pytest.mark.hard_case(34)
+def test_aprons_hold_the_neighbours_voxels() -> None:
+    coarse = coarse_scene(make_snerg(shape=(150, 131, 140), diffuse=True))
+    wide = np.pad(dense(coarse), ((1, 1), (1, 1), (1, 1), (0, 0)))
+    assert len(coarse.cells) > 4
+    for cell, (x, y, z) in zip(coarse.cells, 30 * block_coordinates(coarse.indirection), strict=True):
+        assert np.array_equal(cell, wide[x : x + 32, y : y + 32, z : z + 32])

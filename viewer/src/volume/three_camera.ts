@@ -18,9 +18,10 @@ export function threeCamera(
   if (camera.projection === "orthographic") {
     made = new OrthographicCamera(-cx / fx, (width - cx) / fx, cy / fy, (cy - height) / fy, near, last);
   } else {
-    made = new PerspectiveCamera((2 * Math.atan(height / (2 * fy)) * 180) / Math.PI, 1, near, last);
+    const aspect = (width * fy) / (height * fx);
+    made = new PerspectiveCamera((2 * Math.atan(height / (2 * fy)) * 180) / Math.PI, aspect, near, last);
     if (cx !== width / 2 || cy !== height / 2) made.setViewOffset(width, height, width / 2 - cx, height / 2 - cy, width, height);
-    made.aspect = (width * fy) / (height * fx); // last: an offset sets that of square pixels
+    made.aspect = aspect; // setViewOffset sets that of square pixels
   }
   const pose = new Matrix4();
   if (yUp) pose.makeRotationX(-Math.PI / 2);
