@@ -52,7 +52,7 @@ def ray_grid(camera: Camera, occupied: Box, voxel_size: float, ndc: Ndc | None) 
     """
     whole = np.array([camera.width, camera.height], np.float64)
     low, high = (np.zeros(2), whole) if ndc is not None else _seen_rectangle(camera, occupied, whole)
-    step = RAY_SPACING * voxel_size * _pixels_per_unit(camera, occupied, ndc)
+    step = RAY_SPACING * voxel_size * pixels_per_unit(camera, occupied, ndc)
     columns, rows = (int(n) for n in np.ceil(np.maximum(high - low, 0) / step))
     if columns * rows > MAX_RAYS:
         shrink = math.sqrt(MAX_RAYS / (columns * rows))
@@ -71,7 +71,7 @@ def _seen_rectangle(camera: Camera, occupied: Box, whole: NDArray[np.float64]) -
     return np.clip(pixels.min(axis=0), 0, whole), np.clip(pixels.max(axis=0), 0, whole)
 
 
-def _pixels_per_unit(camera: Camera, occupied: Box, ndc: Ndc | None) -> NDArray[np.float64]:
+def pixels_per_unit(camera: Camera, occupied: Box, ndc: Ndc | None) -> NDArray[np.float64]:
     """Pixels [2] along a length of 1 across a ray at the far end of a box, in units of its space."""
     focal = np.array(camera.focal)
     if camera.projection == "orthographic":

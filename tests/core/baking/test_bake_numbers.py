@@ -31,7 +31,8 @@ from snerg.core.baking.supersampling import (
     field_along,
     measure_supersampling,
 )
-from snerg.core.baking.visibility import HALF, VisibilityStatistics, coarse_opacity_scene, pixels_per_unit, refine_mask
+from snerg.core.baking.visibility import HALF, VisibilityStatistics, coarse_opacity_scene, refine_mask
+from snerg.core.baking.visibility_rays import pixels_per_unit
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
@@ -188,7 +189,7 @@ def test_the_coarse_scene_of_a_bake_has_each_fine_block_in_its_octant() -> None:
     grid = VoxelGrid(np.eye(4), 0.1, (90, 60, 120))
     level = draw.integers(0, 256, (int(indirection.max()) + 1, HALF, HALF, HALF), np.uint8)
     occupied = OccupiedVoxels(indirection, np.zeros((len(level), 30, 30), np.uint32), level, 0.0)
-    scene = coarse_opacity_scene(occupied, grid.halved(), None)
+    scene = coarse_opacity_scene(occupied, indirection, grid.halved(), None)
     assert scene.shape == (45, 30, 60) and scene.voxel_size == 0.2
     expected = np.zeros((62, 32, 62), np.uint8)
     for number, (x, y, z) in enumerate(block_coordinates(indirection)):
@@ -224,22 +225,19 @@ def test_statistics_count_rays_that_hit_and_the_light_of_those_that_go_on() -> N
 
 
 def test_pixels_of_a_length_are_those_of_the_projection() -> None:
-    occupied = OccupiedVoxels(np.full((2, 2, 2), -1, np.int32), np.zeros((0, 30, 30), np.uint32), np.zeros((0, 15, 15, 15), np.uint8), 0.0)
-    grid = VoxelGrid.inside(BOX, 2 / 40)
-    scene = coarse_opacity_scene(occupied, grid.halved(), None)
-    for eye in ((0, -5.0, 0), (3.0, 2.0, -4.0)):
-        camera = Camera(200, 200, (300.0, 250.0), (100, 100), looking(eye, (0, 0, 0)))
-        middle = scene.box.box_to_world[:3, 3]
-        pixels, _ = camera.project(middle + np.outer([-1e-4, 1e-4], camera.camera_to_world[:3, 0]))
-        assert pixels_per_unit(camera, scene) == pytest.approx((pixels[1, 0] - pixels[0, 0]) / 2e-4, rel=1e-3)
+    """Across both axes of the picture, where the box is farthest from the camera."""
+    for eye in ((0, -5.0, 0), (3.0, 2.0, -4.0), (0, 0.01, 0)):
+        camera = Camera(200, 200, (300.0, 250.0), (100, 100), looking(eye, (0, 1, 0)))
+        right, up, backward = camera.camera_to_world[:3, :3].T
+        farthest = camera.position - backward * max(float((camera.position - corner) @ backward) for corner in BOX.corners())
+        pixels, _ = camera.project(farthest + np.array([-right, right, -up, up]) * 1e-4)
+        across, down = (pixels[1] - pixels[0])[0] / 2e-4, (pixels[2] - pixels[3])[1] / 2e-4
+        assert pixels_per_unit(camera, BOX, None) == pytest.approx([across, down], rel=1e-6)
     flat = Camera(200, 200, (30.0, 20.0), (100, 100), looking((0, -5, 0), (0, 0, 0)), "orthographic")
-    assert pixels_per_unit(flat, scene) == 30.0
-    near = Camera(200, 200, (300.0, 300.0), (100, 100), looking((0, 0.01, 0), (0, 1, 0)))
-    assert pixels_per_unit(near, scene) == pytest.approx(300 / (float(scene.box.size.max()) / 4)), "inside, a quarter of the box"
+    assert pixels_per_unit(flat, BOX, None) == pytest.approx([30, 20])
     frame = make_frame()
-    forward = coarse_opacity_scene(occupied, grid.halved(), frame)
     wide = Camera(200, 100, (320.0, 105.0), (100, 50), frame.camera_to_world)
-    assert pixels_per_unit(wide, forward) == pytest.approx(max(320 / 1.6, 105 / 2.1))
+    assert pixels_per_unit(wide, BOX, frame) == pytest.approx([320 / 1.6, 105 / 2.1])
 
 
 def test_compositing_of_test_rays_is_front_to_back() -> None:
@@ -416,14 +414,16 @@ def test_blocks_are_listed_by_their_numbers() -> None:
 
 
 @pytest.mark.hard_case(6)
-def test_pixels_of_a_length_do_not_depend_on_where_the_scene_stands() -> None:
-    occupied = OccupiedVoxels(np.full((2, 2, 2), -1, np.int32), np.zeros((0, 30, 30), np.uint32), np.zeros((0, 15, 15, 15), np.uint8), 0.0)
+@pytest.mark.parametrize("projection", ["perspective", "equirectangular"])
+def test_pixels_of_a_length_do_not_depend_on_where_the_scene_stands(projection: str) -> None:
     found = []
     for at in (np.zeros(3), np.array([1e3, -2e3, 5e2])):
-        scene = coarse_opacity_scene(occupied, VoxelGrid.inside(Box.axis_aligned(at - 1, at + 1), 2 / 40).halved(), None)
-        camera = Camera(200, 200, (300.0, 300.0), (100, 100), looking(tuple(at + np.array([0, -4, 1])), tuple(at)))
-        found.append(pixels_per_unit(camera, scene))
-    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0] == pytest.approx(300 / np.sqrt(17), rel=0.05)
+        focal = (300.0, 300.0) if projection == "perspective" else (200 / np.pi / 2, 100 / np.pi)
+        camera = Camera(200, 100, focal, (100, 50), looking(tuple(at + np.array([0, -4, 1])), tuple(at)), projection)
+        found.append(pixels_per_unit(camera, Box.axis_aligned(at - 1, at + 1), None))
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    if projection == "equirectangular":
+        assert found[0] == pytest.approx(np.array(focal) / np.linalg.norm([1, 5, 2])), "by the distance of the farthest corner"
 
 
 def rods(width: float, fine: float = 16.0) -> Formula:
