@@ -106,6 +106,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       });
     }
     uniforms.indirection = { value: textures.indirection };
+    uniforms.texelSize = { value: new Vector3(...(this.atlas as Atlas).size.map((n) => 1 / n)) };
     const shader = (depth: boolean) => fragmentShader(this.source.description, textures.distance.length, depth);
     this.shaders = [shader(false), shader(sceneDepth)];
     this.geometry.setDrawRange(0, Number.POSITIVE_INFINITY);
@@ -122,6 +123,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     const drawn = this.shaders[0] === this.shaders[1] ? null : SceneDepth.of(renderer).copy();
     this.useShader(this.shaders[drawn ? 1 : 0], drawn !== null);
     uniforms.gridShape.value.set(...this.source.description.shape);
+    uniforms.featuresAbove.value = this.atlas?.strayFeatures ? -1 : 0;
     uniforms.sceneDepth.value = drawn;
     const reversed = (renderer as WebGLRenderer & { reversedDepthBuffer?: boolean }).reversedDepthBuffer === true;
     const view = viewUniforms(this.source.description, standing, camera, renderer.getCurrentViewport(new Vector4()), reversed);
@@ -198,6 +200,7 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     gridShape: { value: new Vector3(...scene.shape) },
     gridBlocks: { value: new Vector3(...scene.blocks) },
     linearOutput: { value: false },
+    featuresAbove: { value: 0 },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
     clipFromGrid: { value: new Matrix4() },
