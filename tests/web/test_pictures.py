@@ -153,6 +153,17 @@ def test_thin_fog_is_exact(page: Page, tmp_path: Path, serve: Serve, diffuse: bo
     compare(page, serve(tmp_path / "web"), scene, cameras[0], 0)
 
 
+def test_features_of_empty_voxels_count(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """Scenes that other programs baked may have features where alpha is 0: the page reads them there, as the marcher does."""
+    scene = make_snerg((40, 45, 50), fog=False)
+    cells = scene.cells.copy()
+    alpha = cells[..., 7]
+    cells[..., 3:7] = np.where((alpha == 0)[..., None], np.random.default_rng(2).integers(0, 9, (*alpha.shape, 4)), cells[..., 3:7])
+    scene = replace(scene, cells=cells.astype(np.uint8))
+    write_bundle(scene, make_cameras(), tmp_path / "web")
+    compare(page, serve(tmp_path / "web"), scene, make_cameras()[0], 0)
+
+
 @pytest.mark.hard_case(51, 58)
 @pytest.mark.parametrize("diffuse", [False, True], ids=["view-dependent", "diffuse"])
 @pytest.mark.parametrize("name", ["webp", "jpeg", "avif"])

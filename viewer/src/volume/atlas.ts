@@ -43,6 +43,7 @@ export class Atlas {
   readonly layout: AtlasLayout;
   readonly size: Triple; // texels of a page along x, y and z
   readonly bytes: number; // of graphics memory that the pages take
+  strayFeatures = false; // whether a voxel of alpha 0 has features, as none does that was baked here
   private readonly pages: Record<Kind, Data3DTexture[]>;
   private made: Data3DTexture[] = []; // by `textures`
   private distances: Data3DTexture[] = [];
@@ -99,6 +100,7 @@ export class Atlas {
 
   /** Upload the texels of a slice. */
   take(slice: number, texels: SliceTexels): void {
+    this.strayFeatures ||= hasStrayFeatures(texels);
     for (const kind of this.kinds) this.upload(kind, slice, texels[kind] as Uint8Array);
     this.taken[slice] = 1;
   }
@@ -243,6 +245,14 @@ function markCoarseVoxels(marks: Uint8Array, cell: number, x: number, y: number,
       for (let cx = low(x); cx <= high(x); cx++) marks[row + cx] = 1;
     }
   }
+}
+
+/** Whether a texel of alpha 0 has features. */
+function hasStrayFeatures({ rgba, feature }: SliceTexels): boolean {
+  if (!feature) return false;
+  const words = new Uint32Array(feature.buffer, feature.byteOffset, feature.length / 4);
+  for (let i = 0; i < words.length; i++) if (words[i] !== 0 && rgba[4 * i + 3] === 0) return true;
+  return false;
 }
 
 function makeTexture(

@@ -32,6 +32,10 @@ uniform vec3 gridShape;           // voxels
 uniform ivec3 gridBlocks;         // macroblocks
 uniform bool linearOutput;        // whether the image holds linear colours in place of sRGB
 uniform isampler3D indirection;
+uniform vec3 texelSize;           // of an atlas page, in texture coordinates
+#if VIEW_DEPENDENCE
+uniform float featuresAbove;      // alpha above which a sample's features count: 0, or -1 where empty voxels have features
+#endif
 #if SCENE_DEPTH
 // What is drawn already. A depth in ray space, along the view axis, is to and from the depth buffer as depthTerms say: of a perspective
 // camera x / depth - y, of an orthographic one x - y * depth, and then * z + w.
@@ -141,7 +145,7 @@ void main() {
       vec4 rgba = rgbaAt(page, texel);
       rgb += transmittance * rgba.rgb;
 #if VIEW_DEPENDENCE
-      features += transmittance * featureAt(page, texel);
+      if (rgba.a > featuresAbove) features += transmittance * featureAt(page, texel); // about two in five samples are empty
 #endif
       transmittance *= 1.0 - rgba.a;
 #if SCENE_DEPTH || PICKING

@@ -53,7 +53,7 @@ function ndcFunction(scene: SceneDescription, focal: readonly number[]): string 
 
 /** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texels of an atlas page. */
 function texelLookup(kind: string, pages: number): string {
-  const read = (name: string) => `textureLod(${name}, texel / vec3(textureSize(${name}, 0)), 0.0)`;
+  const read = (name: string) => `textureLod(${name}, texel * texelSize, 0.0)`;
   return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 texel)`, read);
 }
 

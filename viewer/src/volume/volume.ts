@@ -206,6 +206,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       });
     }
     uniforms.indirection = { value: textures.indirection };
+    uniforms.texelSize = { value: new Vector3(...(this.atlas as Atlas).size.map((n) => 1 / n)) };
     const shader = (depth: boolean) => fragmentShader(this.source.description, textures.distance.length, depth);
     this.shaders = [shader(false), shader(sceneDepth)];
     this.picker = pickingMaterial(this.material, fragmentShader(this.source.description, textures.distance.length, false, true));
@@ -227,6 +228,7 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       uniforms.sceneDepth.value = drawn;
     }
     uniforms.gridShape.value.set(...this.source.description.shape);
+    uniforms.featuresAbove.value = this.atlas?.strayFeatures ? -1 : 0;
     const view = viewUniforms(
       this.source.description,
       standing,
@@ -329,6 +331,7 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     gridShape: { value: new Vector3(...scene.shape) },
     gridBlocks: { value: new Vector3(...scene.blocks) },
     linearOutput: { value: false },
+    featuresAbove: { value: 0 },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
     logDepth: { value: new Vector2() },
