@@ -11,7 +11,15 @@ STEPS = (
     ("snerg.hide_originals", "snerg.show_originals"),
     ("snerg.preview", "snerg.composite", "snerg.proxy", "snerg.study"),
     ("snerg.add_annotation",),
-    ("snerg.export_web", "snerg.open_page", "snerg.export_scene", "snerg.export_vdb", "snerg.pack_scene", "snerg.unpack_scene"),
+    (
+        "snerg.count_keyframes",
+        "snerg.export_web",
+        "snerg.open_page",
+        "snerg.export_scene",
+        "snerg.export_vdb",
+        "snerg.pack_scene",
+        "snerg.unpack_scene",
+    ),
     ("snerg.copy_command", "snerg.import_file", "snerg.send_to_flamenco"),
 )
 

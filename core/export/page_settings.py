@@ -46,6 +46,8 @@ class PageSettings:
             raise SnergError(f"There is no way to move {self.mode!r}; choose from {', '.join(MODES)}.")
         if self.address and not self.address.startswith(("http://", "https://")):
             raise SnergError(f"{self.address} is not the address of a page; it begins with https:// or http://.")
+        if not isinstance(self.thumbnails, int) or self.thumbnails < 0:
+            raise SnergError(f"A page cannot have {self.thumbnails} small pictures; give a whole number from 0 on.")
         if self.distance is not None and not 0 < self.distance[0] <= self.distance[1] < float("inf"):
             raise SnergError(f"The orbit's distances are {pair(self.distance)}; give two above 0, the smaller one first.")
         if self.elevation is not None and not -90 <= self.elevation[0] <= self.elevation[1] <= 90:

@@ -329,7 +329,10 @@ def read_row(path: Path) -> StudyRow:
     if not (isinstance(row, dict) and {"key", "config", "psnr", "ms", "megabytes"} <= row.keys() and row["key"] == path.stem):
         raise SnergError(f"{path} is not a row of a study; delete it to have it measured again.")
     with reading(path, "delete it to have it measured again"):
-        return _checked_row(row)
+        try:
+            return _checked_row(row)
+        except SnergError as error:  # of settings that cannot be used, which do not know the file
+            raise ValueError(str(error)) from error
 
 
 def _checked_row(row: StudyRow) -> StudyRow:

@@ -19,7 +19,7 @@ from ..nerf.checkpoint import FILE, is_field, read_field, read_field_and_state
 from ..nerf.field import Field
 from .config import TrainSettings
 
-ADDED = {"depth": "off"}  # settings that earlier versions had not, at the values with which training does as those did
+ADDED = {"depth": "off", "diffuse": 0.0}  # settings that earlier versions had not, at the values with which training does as those did
 NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 

@@ -15,8 +15,8 @@ from snerg.core.export.annotations import Annotation
 from snerg.core.export.bundle import write_bundle
 from snerg.core.export.page_settings import PageSettings
 from snerg.tests.web.conftest import ROOT, opened
+from snerg.tests.web.test_access import AXE
 from snerg.tests.web.test_modules import node
-from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 CAMERAS = make_cameras()

@@ -20,8 +20,8 @@ from snerg.core.export.page_settings import PageSettings
 from snerg.core.export.world_units import WorldUnits
 from snerg.core.geometry.camera import Camera
 from snerg.tests.web.conftest import ROOT, opened
+from snerg.tests.web.test_access import AXE
 from snerg.tests.web.test_modules import node
-from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 VOXEL = 0.02

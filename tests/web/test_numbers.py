@@ -260,14 +260,14 @@ def test_features_at_half_the_resolution_are_restored_as_python_does(tmp_path: P
     value = json.loads((tmp_path / "scene" / "scene.json").read_text())
     bx, by, _ = value["atlas_blocks"]
     found = node(f"""{SOURCE}
-        import {{ readSlice, sliceCount }} from "./data/slices";
+        import {{ readSlice, sliceOrder }} from "./data/slices";
         const scene = {json.dumps({"atlas_blocks": value["atlas_blocks"], "codec": value["codec"], "network": True})};
         const slices = [];
         for (const i of [0, 3, 7]) {{
           const texels = await readSlice(scene, from({json.dumps(str(tmp_path / "scene"))}), "", i);
           slices.push([Array.from(texels.rgba), Array.from(texels.feature)]);
         }}
-        console.log(JSON.stringify([sliceCount(scene), slices]));
+        console.log(JSON.stringify([sliceOrder(scene).length, slices]));
     """)
     assert found[0] == 8 * value["atlas_blocks"][2]
     for index, (rgba, feature) in zip((0, 3, 7), found[1], strict=True):

@@ -14,7 +14,7 @@ from snerg.core.export import bundle
 from snerg.core.export.bundle import VIEWER, write_bundle
 from snerg.core.study.benchmarks import read_benchmark
 from snerg.tests.web.conftest import ROOT, opened
-from snerg.tests.web.test_page import AXE
+from snerg.tests.web.test_access import AXE
 
 Serve = Callable[[Path], str]
 

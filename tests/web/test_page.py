@@ -309,7 +309,7 @@ def test_a_camera_may_have_any_name(page: Page, copied: Path, serve: Serve, name
     value["cameras"][0]["name"] = name
     path.write_text(json.dumps(value))
     assert opened(page, serve(copied) + "?width=80&height=60") is None
-    assert page.locator("#camera option").first.inner_text() == (name if isinstance(name, str) else "Camera 1")
+    assert page.locator("#camera option").first.inner_text() == (name if isinstance(name, str) else "View 1")
 
 
 def test_a_level_camera_stays_where_it_is_when_touched(page: Page, made: Path, serve: Serve) -> None:

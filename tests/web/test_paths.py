@@ -27,8 +27,8 @@ from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
 from snerg.core.io.images import read_image
 from snerg.core.rendering.render import render_scene
 from snerg.tests.web.conftest import ROOT, opened, picture
+from snerg.tests.web.test_access import AXE
 from snerg.tests.web.test_modules import node
-from snerg.tests.web.test_page import AXE
 
 Serve = Callable[[Path], str]
 FAR = (1e6, -2e6, 5e5)

@@ -39,7 +39,7 @@ def enter(page: Page, folder: Path, serve: Serve, scene: Scene, cameras: tuple[C
     page.add_init_script(EMULATE)
     address = (folder / "web" / "index.html").as_uri() if single else serve(folder / "web")
     assert opened(page, address) is None
-    page.get_by_role("button", name="Enter VR").evaluate("e => e.click()")
+    page.get_by_role("button", name="Enter VR", include_hidden=True).evaluate("e => e.click()")
     frames(page, 3)
 
 
@@ -135,7 +135,7 @@ def test_moving_turning_holding_and_leaving(page: Page, tmp_path: Path, serve: S
     frames(page, 2)
     assert np.mean(picture_of(page) < 0.9) > 1.03 * np.mean(shown < 0.9), "a step forward: the scene is larger"
     page.evaluate("device.controllers.right.updateButtonValue('b-button', 1)")
-    expect(page.get_by_role("button", name="Enter VR")).to_have_count(1)
+    expect(page.get_by_role("button", name="Enter VR", include_hidden=True)).to_have_count(1)
     page.set_viewport_size({"width": 500, "height": 400})
     page.evaluate("window.snerg.settled()")
     assert page.evaluate("window.snerg.problem") is None
