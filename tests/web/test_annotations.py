@@ -103,6 +103,7 @@ def test_keys_and_screen_readers_reach_them(page: Page, address: str) -> None:
         page.wait_for_timeout(100)
     else:
         pytest.fail("it does not fly to the label's camera")
+    page.get_by_role("button", name="Menu").click()
     page.get_by_role("button", name="Notes").click()
     assert not page.locator(".notes").is_visible()
 

@@ -46,6 +46,8 @@ def address(tmp_path_factory: pytest.TempPathFactory, serve: Serve) -> str:
 def begin(page: Page, address: str) -> tuple[float, float]:
     """Open the page and begin to measure; returns where the canvas lies."""
     assert opened(page, f"{address}?width={CAMERA.width}&height={CAMERA.height}") is None
+    if page.get_by_role("button", name="Menu").is_visible():
+        page.get_by_role("button", name="Menu").click()
     page.get_by_role("button", name="Measure").click()
     box = page.locator("#canvas").bounding_box()
     assert box
@@ -139,6 +141,7 @@ def test_several_measures_and_their_removal(browser: Browser, address: str) -> N
     assert lengths(page) == [texts[0], texts[2]]
     page.get_by_role("button", name="Done").click()
     assert lengths(page) == [texts[0], texts[2]], "they stay in the picture"
+    page.get_by_role("button", name="Menu").click()
     page.get_by_role("button", name="Measure").click()
     page.get_by_role("button", name="Clear").click()
     assert lengths(page) == []

@@ -69,7 +69,7 @@ def test_the_page_has_the_poses_of_python(at: tuple[float, float, float]) -> Non
     data = json.loads(path_bytes(make_path(at)))
     path, frames = CameraPath.from_json(data), [float(frame) for frame in np.linspace(-1, 52, 107)]
     cameras = node(f"""
-        import {{ CameraPath }} from "./viewer/path";
+        import {{ CameraPath }} from "./optional/path/path";
         const path = new CameraPath({json.dumps(data)});
         console.log(JSON.stringify({json.dumps(frames)}.map((frame) => path.at(frame))));
     """)
@@ -328,7 +328,7 @@ def test_damaged_keys_are_not_a_path() -> None:
         with pytest.raises(SnergError):
             CameraPath.from_json(damaged[-1])
     refused = node(f"""
-        import {{ pathOf }} from "./viewer/path";
+        import {{ pathOf }} from "./optional/path/path";
         console.log(JSON.stringify({json.dumps([data, *damaged])}.map((value) => pathOf(value) === null)));
     """)
     assert refused == [False, *[True] * len(damaged)]

@@ -40,7 +40,7 @@ export class Bar {
       this.find("menu").ariaExpanded = "false";
     };
     this.find("stage").addEventListener("pointerdown", close);
-    for (const button of this.find("more").querySelectorAll("button")) button.addEventListener("click", close);
+    this.find("more").addEventListener("click", ({ target }) => target instanceof HTMLButtonElement && close());
     viewer.on("mode", close);
     root.host.addEventListener("fullscreenchange", () => this.showFullscreen());
     steer(this.find("stick"), this.find<HTMLSelectElement>("mode"), viewer);
