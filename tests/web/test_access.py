@@ -44,6 +44,7 @@ def faults(page: Page) -> object:
     return page.evaluate(AXE)
 
 
+@pytest.mark.slow
 def test_axe_finds_nothing(axed: Page, made: Path, serve: Serve) -> None:
     """The rules of axe-core for accessibility, on the page in each of its states."""
     assert opened(axed, serve(made)) is None
@@ -96,6 +97,7 @@ LISTEN = """
 """
 
 
+@pytest.mark.slow
 def test_what_happens_is_said_in_words(page: Page, made: Path, serve: Serve) -> None:
     """Loading in quarters, the camera, where the view went, and how one moves."""
     page.add_init_script(LISTEN)
@@ -117,6 +119,7 @@ def test_what_happens_is_said_in_words(page: Page, made: Path, serve: Serve) -> 
     assert heard(page).count("Camera Front, 1 of 7.") <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390, 820, 1280])
 @pytest.mark.parametrize("text", [100, 200])
 def test_everything_fits_and_is_large_enough_to_hit(browser: Browser, made: Path, serve: Serve, width: int, text: int) -> None:
@@ -154,6 +157,7 @@ def test_everything_fits_and_is_large_enough_to_hit(browser: Browser, made: Path
     context.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("colours", ["none", "active"])
 def test_the_focus_is_seen_everywhere(browser: Browser, made: Path, serve: Serve, colours: str) -> None:
     """Every stop of the Tab key looks different with the focus than without."""
@@ -182,6 +186,7 @@ def test_the_focus_is_seen_everywhere(browser: Browser, made: Path, serve: Serve
     context.close()
 
 
+@pytest.mark.slow
 def test_chosen_backgrounds_are_seen_in_high_contrast(browser: Browser, made: Path, serve: Serve) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 500}, forced_colors="active")
     page = context.new_page()

@@ -123,6 +123,7 @@ def test_a_mouse_orbits_slides_and_rolls(page: Page, made: Path, serve: Serve) -
     assert abs(roll(pose(page)) - roll(before)) > 80
 
 
+@pytest.mark.slow
 def test_the_wheel_goes_to_the_pointer(page: Page, made: Path, serve: Serve) -> None:
     """What is under the pointer at the pivot's depth stays there, also where the camera may not come nearer."""
     show(page, serve(made))
@@ -158,6 +159,7 @@ def test_a_double_click_sets_the_pivot(page: Page, made: Path, serve: Serve) -> 
     assert np.allclose(pose(page), orbited) and page.locator("#spoken").inner_text() == "There is nothing at this place."
 
 
+@pytest.mark.slow
 def test_keys_do_what_a_mouse_does(page: Page, made: Path, serve: Serve) -> None:
     show(page, serve(made))
     canvas = page.locator("#canvas")
@@ -209,6 +211,7 @@ def test_a_move_eases_out_and_ends(page: Page, made: Path, serve: Serve) -> None
     assert page.evaluate("window.snerg.frames") == frames
 
 
+@pytest.mark.slow
 def test_the_pace_does_not_depend_on_the_frame_rate(page: Page, made: Path, serve: Serve) -> None:
     """How far a move has come after a time is the same where frames are rare."""
     ways = []
@@ -303,6 +306,7 @@ PEN = """(canvas, [type, id, x, y, button]) => canvas.dispatchEvent(new PointerE
     pointerId: id, pointerType: id === 7 ? 'pen' : 'touch', clientX: x, clientY: y, button, buttons: 1, bubbles: true, composed: true }))"""
 
 
+@pytest.mark.slow
 def test_a_pen_draws_the_camera_and_the_hand_beside_it_does_not(page: Page, made: Path, serve: Serve) -> None:
     """The browser's own input has no pen; its events are made here, without the capture that only a real one has."""
     page.add_init_script("Element.prototype.setPointerCapture = () => {};")
@@ -321,6 +325,7 @@ def test_a_pen_draws_the_camera_and_the_hand_beside_it_does_not(page: Page, made
     assert np.allclose(pose(page)[:3, :3], orbited[:3, :3]) and not np.allclose(pose(page), orbited)
 
 
+@pytest.mark.slow
 def test_flying_and_walking(page: Page, made: Path, serve: Serve) -> None:
     """Keys move as long as they are held, along what the camera sees; who walks stays on the level."""
     show(page, serve(made), scale=2)
@@ -354,6 +359,7 @@ def test_flying_and_walking(page: Page, made: Path, serve: Serve) -> None:
     assert np.allclose(pose(page)[:3, 3], (before[:3, 3] + way))
 
 
+@pytest.mark.slow
 def test_the_speed_of_a_flight(page: Page, made: Path, serve: Serve) -> None:
     """The wheel and the keys for zooming change it, and Shift hurries."""
     show(page, serve(made), scale=2)
@@ -379,6 +385,7 @@ def test_the_speed_of_a_flight(page: Page, made: Path, serve: Serve) -> None:
     assert page.locator("#spoken").inner_text() == "Speed: 1.0"
 
 
+@pytest.mark.slow
 def test_a_stick_flies_for_fingers(touched: Page, made: Path, serve: Serve) -> None:
     show(touched, serve(made), scale=2)
     touched.get_by_role("button", name="Menu").click()
@@ -401,6 +408,7 @@ def test_a_stick_flies_for_fingers(touched: Page, made: Path, serve: Serve) -> N
     assert (pose(touched) - looked)[:3, 3] @ -looked[:3, 2] > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["orbit", "fly", "walk"])
 def test_limits_hold_in_every_mode(page: Page, tmp_path: Path, serve: Serve, mode: str) -> None:
     """How far the camera stands from what it looked at, and how high above it."""

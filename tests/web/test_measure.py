@@ -120,6 +120,7 @@ def test_by_keys_alone(page: Page, address: str) -> None:
     assert not page.locator(".tool").is_visible()
     page.locator("#canvas").focus()
     page.keyboard.press("ArrowRight")
+    page.evaluate("window.snerg.settled()")
     assert page.evaluate("document.querySelector('snerg-viewer').viewer.state.cameraToWorld") != before, "and turn the view again"
 
 

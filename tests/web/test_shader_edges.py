@@ -41,6 +41,7 @@ def check(page: Page, folder: Path, serve: Serve, scene: Scene, cameras: list[Ca
         assert difference.max() < most, f"{camera.name or index}: {difference.max() / LEVEL:.1f} levels"
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(33, 34, 37)
 def test_single_voxels_at_every_place_in_a_coarse_voxel_are_seen(page: Page, tmp_path: Path, serve: Serve) -> None:
     """Faint ones, five voxels apart: at each place of the four along each axis, also beside the borders of coarse voxels and blocks."""
@@ -52,6 +53,7 @@ def test_single_voxels_at_every_place_in_a_coarse_voxel_are_seen(page: Page, tmp
     check(page, tmp_path / "web", serve, scene_of(values), cameras)
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(33, 34)
 def test_voxels_just_behind_a_blocks_border_are_seen(page: Page, tmp_path: Path, serve: Serve) -> None:
     """One on each side of each border of blocks, of which most are empty."""
@@ -77,6 +79,7 @@ def test_a_ray_ends_with_its_light_and_not_before(page: Page, tmp_path: Path, se
     check(page, tmp_path / "web", serve, scene_of(values), [camera])
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(36, 42)
 def test_clip_planes_cut_across_the_view(page: Page, tmp_path: Path, serve: Serve) -> None:
     """In fog, where each step more or less shows; wide, so that a sphere is another cut; the scene's own near plane is one."""
@@ -103,6 +106,7 @@ def test_rays_along_the_axes_are_seen(page: Page, tmp_path: Path, serve: Serve) 
     check(page, tmp_path / "web", serve, scene_of(values), cameras, 2.6 * LEVEL)
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(43, 53)
 @pytest.mark.parametrize("diffuse", [True, False], ids=["corrected", "network"])
 def test_opacity_correction_and_the_network_over_black(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:

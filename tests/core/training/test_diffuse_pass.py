@@ -17,12 +17,15 @@ from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.io.exr import write_channels
 from snerg.core.io.images import write_png
+from snerg.core.nerf.hash_grid import HashGrid
+from snerg.core.nerf.model import HashModelConfig
 from snerg.core.progress import silent
 from snerg.core.training.config import TrainSettings
 from snerg.core.training.losses import diffuse_error
 
 SIZE, VIEWS = 12, 4
-SETTINGS = TrainSettings(steps=3, samples=512, view_dependence="deferred", diffuse=1.0)
+SMALL = HashModelConfig(HashGrid(levels=2, log2_size=8), width=8)
+SETTINGS = TrainSettings(SMALL, "deferred", steps=3, samples=256, diffuse=1.0)
 
 
 def dataset(folder: Path) -> Dataset:

@@ -169,7 +169,7 @@ export class Atlas {
     for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
       const x = (cell % bx) * CELL_VOXELS;
       const y = (Math.floor(cell / bx) % by) * CELL_VOXELS;
-      if (kind === "rgba") this.markOccupied(this.occupied, words, x + y * width, [width, height, SLICE_PLANES], cell, z);
+      this.markOccupied(this.occupied, words, x + y * width, [width, height, SLICE_PLANES], cell, z);
       const [page, px, py, pz] = cellPosition(this.layout, cell);
       this.renderer.copyTextureToTexture(
         source,
