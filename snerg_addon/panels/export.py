@@ -90,6 +90,7 @@ def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:
 def draw_annotations(layout: bpy.types.UILayout, settings: Any, scene: bpy.types.Scene) -> None:
     """The empties that have a text, in a part that is closed at first: each with its text and its camera."""
     header, body = layout.panel("SNERG_annotations", default_closed=True)
+    header.use_property_split = False  # as Blender's own panels with a switch: beside the arrow
     header.prop(settings, "shows_annotations")
     if body is None:
         return
