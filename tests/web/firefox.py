@@ -32,7 +32,11 @@ PREFERENCES = {
     "layout.css.devPixelsPerPx": "1",
 }
 SECONDS = 60  # that Firefox has to start, and a command to answer
-CANVAS = "return document.querySelector('snerg-viewer').shadowRoot.getElementById('canvas')"
+CANVAS = """
+const canvas = document.querySelector("snerg-viewer").shadowRoot.getElementById("canvas");
+canvas.blur(); // the ring of the focus lies over the picture's border
+return canvas;
+"""
 
 
 class Firefox:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 from scenes import make_cameras, make_snerg
 from snerg.core.export import bundle
@@ -108,7 +108,7 @@ def test_a_benchmark_is_cancelled(page: Page, made: Path, serve: Serve) -> None:
     assert opened(page, serve(made) + "?width=80&height=60#benchmark") is None
     page.locator("#benchmark").get_by_role("status").filter(has_text="Frame").wait_for()
     page.get_by_role("button", name="Cancel").click()
-    assert page.locator("#benchmark").count() == 0
+    expect(page.locator("#benchmark")).to_have_count(0)
     while not page.evaluate("'benchmark' in window.snerg"):
         page.wait_for_timeout(50)
     assert page.evaluate("window.snerg.benchmark") is None and page.evaluate("window.snerg.problem") is None
