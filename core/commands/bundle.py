@@ -16,7 +16,7 @@ from ..errors import SnergError
 from ..export.annotations import read_annotations, with_known_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUNDS, MODES, PLAIN, THUMBNAILS, TRANSPARENT, PageSettings, is_background
+from ..export.page_settings import BACKGROUND_NAMES, MODES, PLAIN, THUMBNAILS, PageSettings, is_background
 from ..export.scene_files import codec_of, is_current
 from ..export.thumbnails import SECONDS
 from ..export.world_units import SYSTEMS, WorldUnits
@@ -107,8 +107,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--title", default="", metavar="TEXT", help="of the page, also where a link to it is shared")
     parser.add_argument("--description", default="", metavar="TEXT", help="a sentence for search engines and shared links")
     parser.add_argument("--address", default="", metavar="URL", help="where the page will be published; shared links then show its picture")
-    words = ", ".join((*BACKGROUNDS, TRANSPARENT))
-    parser.add_argument("--background", default="white", metavar="WHAT", help=f"{words}, a colour as #204060, or the path of a picture")
+    parser.add_argument(
+        "--background", default="white", metavar="WHAT", help=f"{BACKGROUND_NAMES}, a colour as #204060, or the path of a picture"
+    )
     parser.add_argument(
         "--move", choices=MODES, default="orbit", help="how people move at first: fly and walk suit scenes seen from inside"
     )
@@ -161,8 +162,9 @@ def background_of(text: str) -> tuple[str, Path | None]:
     if is_background(text) or text.startswith("#"):
         return text, None
     if not Path(text).is_file():
-        words = ", ".join((*BACKGROUNDS, TRANSPARENT))
-        raise SnergError(f"There is no background {text!r}, and no picture of that name: give {words}, a colour as #204060, or a picture.")
+        raise SnergError(
+            f"There is no background {text!r}, and no picture of that name: give {BACKGROUND_NAMES}, a colour as #204060, or a picture."
+        )
     return PLAIN.background, Path(text)
 
 

@@ -124,7 +124,7 @@ def _in_order(
 ) -> tuple[Scene, Path | None, dict[str, Any]]:
     """The scene with the cells that a camera sees first, the source to copy, and "layers" of cameras.json. A source with loss is kept."""
     order = cell_order(scene, camera, progress)
-    if source is not None and not (codec.lossless and not codec.half_features):
+    if source is not None and (not codec.lossless or codec.half_features):
         return scene, source, order.layers(in_order=False)
     return order.sorted(scene), None, order.layers(in_order=True)
 

@@ -13,8 +13,8 @@ from .world_units import WorldUnits
 BACKGROUNDS = {"white": 1.0, "grey": 128 / 255, "black": 0.0}
 TRANSPARENT = "transparent"  # what is behind the page's frame shows through
 COLOUR = re.compile("#[0-9a-fA-F]{6}")
+BACKGROUND_NAMES = ", ".join((*BACKGROUNDS, TRANSPARENT))  # for sentences
 MODES = ("orbit", "fly", "walk")
-
 THUMBNAILS = 24  # cameras that have a small picture, where nothing else is asked for
 
 
@@ -30,7 +30,6 @@ class PageSettings:
     elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
     background_image: Path | None = None  # a picture behind the scene, which is shown in place of `background` at first
     mode: str = "orbit"  # of MODES: how people move at first
-
     play: bool = False  # whether the page's camera path plays as soon as the scene is there
     thumbnails: int = 0  # cameras at most that have a small picture in the page's list
     annotations: tuple[Annotation, ...] = ()  # labels in the scene
@@ -40,8 +39,7 @@ class PageSettings:
 
     def __post_init__(self) -> None:
         if not is_background(self.background):
-            words = ", ".join((*BACKGROUNDS, TRANSPARENT))
-            raise SnergError(f"There is no background {self.background!r}; choose from {words}, or give a colour as #204060.")
+            raise SnergError(f"There is no background {self.background!r}; choose from {BACKGROUND_NAMES}, or give a colour as #204060.")
         if self.mode not in MODES:
             raise SnergError(f"There is no way to move {self.mode!r}; choose from {', '.join(MODES)}.")
         if self.address and not self.address.startswith(("http://", "https://")):

@@ -1,5 +1,6 @@
 // Moves a view by hand: around its pivot, or through the scene, with a mouse, fingers, a pen or keys.
 import { Vector3 } from "three";
+import { wantsLessMotion } from "./flight";
 import { angle, type Drag, Gestures, type Hands, type Point, shortest } from "./gestures";
 import { rotationOf, type Stance } from "./rig";
 import type { View } from "./view";
@@ -274,7 +275,7 @@ export class Navigation implements Hands {
     const { rig } = this.view;
     const driven = this.current === "orbit" ? NOWHERE : this.driven;
     if (driven.length() > 0) this.advance(driven.clone().multiplyScalar(seconds));
-    if (rig.step(seconds, !matchMedia("(prefers-reduced-motion: reduce)").matches)) this.view.moved();
+    if (rig.step(seconds, !wantsLessMotion())) this.view.moved();
     const goesOn = driven.length() > 0 || !rig.resting;
     this.frame = goesOn ? requestAnimationFrame(() => this.tick()) : 0;
     if (!goesOn) for (const resolve of this.waiting.splice(0)) resolve();
