@@ -60,23 +60,24 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
     does not contain a point does not exclude it either. radius: in world units; a point is kept when the silhouette meets the
     sphere of this radius around it.
     """
-    alive = np.arange(len(points))
+    alive, left = np.arange(len(points)), points  # the indices of the points that no camera excluded yet, and these points
     seen = np.zeros(len(points), bool)
     for camera, mask in zip(cameras, masks, strict=True):
-        pixels, depth = camera.project(points[alive])
-        column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
-        inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        pixels, depth = camera.project(left)
+        x, y = pixels[:, 0], pixels[:, 1]
+        inside = (depth > camera.near) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         seen[alive] |= inside
         if mask is None:
             continue
         size = footprint(camera, depth[inside], radius)
-        gone = inside.copy()
+        gone = inside
         if camera.is_wide:
             size *= MAX_STRETCH
+            gone = inside.copy()
             gone[inside] = _measurable(camera, pixels[inside], size)
-        spread = dilated(mask, size)
-        gone[inside] &= ~spread[row[inside], column[inside]]
-        alive = alive[~gone]
+        row, column = (np.where(gone, at, 0).astype(np.int64) for at in (y, x))
+        kept = np.flatnonzero(~gone | dilated(mask, size).ravel().take(row * camera.width + column))
+        alive, left = alive.take(kept), left.take(kept, axis=0)
     result = np.zeros(len(points), bool)
     result[alive] = True
     return np.asarray(result & seen)

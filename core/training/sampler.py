@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
@@ -24,6 +25,27 @@ class Batch:
     rays: int
 
 
+@dataclass(frozen=True)
+class BatchLoss:
+    """The loss of a sampler's batches; traced by JAX. Losses of trainings that differ in their length and seed alone are equal, and share
+    what is compiled for them.
+
+    of: (settings, alpha, params, batch) to (loss, aux). alpha: whether the images have it.
+    """
+
+    of: Callable[[TrainSettings, bool, Any, dict[str, Any]], tuple[Any, dict[str, Any]]]
+    settings: TrainSettings
+    alpha: bool
+
+    def __call__(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        return self.of(self.settings, self.alpha, params, batch)
+
+
+def of_any_length(settings: TrainSettings) -> TrainSettings:
+    """The settings without the length and the seed of a training: what a step depends on."""
+    return replace(settings, steps=1, seconds=None, seed=0)
+
+
 class Sampler(Protocol):
     """A way to sample rays: `occupancy_sampler` and `hierarchical_sampler` implement it. occupied: bool [CELLS^3]."""
 
@@ -31,16 +53,12 @@ class Sampler(Protocol):
     """The training's settings, those that were 'auto' decided."""
     occupied: NDArray[Any]
     """Cells of the occupancy grid that may hold something, bool [CELLS ** 3]."""
+    loss: BatchLoss
+    """(params, batch) to (loss, aux). aux holds "error", the squared colour error, and what `learn` reads. Both are sums over the rays
+    and samples of the batch, divided by counts that the batch holds, so that the parts of a batch that is split among devices add up."""
 
     def batch(self, params: Any, fraction: float) -> Batch:
         """The rays and samples of the next step; `fraction` in [0, 1] is how much of the training is done."""
-
-    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        """(loss, aux); traced by JAX. aux holds "error", the squared colour error, and what `learn` reads.
-
-        Both are sums over the rays and samples of the batch, divided by counts that the batch holds, so that the parts of a batch
-        that is split among devices add up.
-        """
 
     def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
         """Update the sampler after a step from its parameters and from the loss's aux."""

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 
 import jax
@@ -25,7 +24,6 @@ from snerg.core.nerf.checkpoint import read_field, read_field_and_state, write_f
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, ViewNetwork, init_field
 from snerg.core.nerf.render import render_field
-from snerg.core.nerf.sampling import Domain, hull
 from snerg.core.study.metrics import psnr
 from snerg.core.training import view_dependence_test
 from snerg.core.training.config import TrainSettings
@@ -40,21 +38,7 @@ from snerg.core.training.weight_average import EVERY
 
 FAMILY = HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
 SETTINGS = TrainSettings(family=FAMILY, samples=4096, spacing=2 / 96, seconds=None, steps=40)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def carved_once() -> Iterator[None]:
-    """The hull of the same views is the same: carving it for every trainer would take most of these tests' time."""
-    known: dict[bytes, tuple[Domain, np.ndarray]] = {}
-
-    def kept(*of: object) -> tuple[Domain, np.ndarray]:
-        key = pickle.dumps(of)
-        domain, alive = known[key] if key in known else known.setdefault(key, hull(*of))
-        return domain, alive.copy()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("snerg.core.training.prepare.hull", kept)
-        yield
+pytestmark = pytest.mark.usefixtures("carved_once")
 
 
 @pytest.fixture(scope="module")
