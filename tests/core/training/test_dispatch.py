@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -21,10 +22,13 @@ from snerg.core.training import trainer as training
 from snerg.core.training import view_dependence_test
 from snerg.core.training.config import TrainSettings
 from snerg.core.training.device_sampler import DeviceSampler, step_of
-from snerg.core.training.optimizer import learning_rate
+from snerg.core.training.dispatch import Dispatch, train_steps
+from snerg.core.training.optimizer import learning_rate, train_step, zero_moments
 from snerg.core.training.parallel import Devices
 from snerg.core.training.saving import TrainProgress
+from snerg.core.training.state import TrainState
 from snerg.core.training.trainer import Trainer, train
+from snerg.core.training.weight_average import WeightAverage
 
 FAMILY = HashModelConfig(HashGrid(levels=2, coarsest=16, finest=64, features=4, log2_size=14))
 SETTINGS = TrainSettings(family=FAMILY, samples=2048, spacing=2 / 96, packing="device", seconds=None, steps=44, average=0.5)
@@ -61,6 +65,58 @@ def finished(views) -> Finished:
     return Finished(views)
 
 
+def state_at(step: int, seconds: float = 0.0) -> TrainState:
+    return TrainState((), ((), ()), WeightAverage(), (), "deferred", False, step, seconds)
+
+
+@pytest.mark.parametrize(
+    ("changed", "places", "ends"),
+    [
+        ({"steps": 44, "average": 0.5}, 16, [16, 24, 32, 40, 44]),
+        ({"steps": 50, "average": 0.0}, 16, [16, 32, 48, 50]),
+        ({"steps": 5, "average": 0.5}, 2, [2, 4, 5]),
+        ({"steps": 3, "average": 0.5}, 1, [1, 2, 3]),
+    ],
+)
+def test_dispatches_end_at_the_same_steps_wherever_they_begin(changed, places, ends):
+    """Where parameters are averaged, at every step whose parameters are."""
+    dispatch = Dispatch(replace(SETTINGS, **changed), None, None, None, places)
+    for begin in [0, *ends[:-1]]:
+        step, found = begin, []
+        while step < ends[-1]:
+            step += dispatch.count(state_at(step))
+            found.append(step)
+        assert found == [end for end in ends if end > begin]
+
+
+def test_dispatches_of_a_training_by_the_clock_follow_it():
+    dispatch = Dispatch(replace(SETTINGS, steps=None, seconds=100.0, average=0.1), None, None, None, 16)
+    assert [dispatch.count(state_at(160, seconds)) for seconds in (0.0, 89.0, 91.0)] == [16, 16, 8]
+    assert dispatch.count(state_at(165, 50.0)) == 11 and dispatch.fraction(state_at(160, 50.0), 9) == 0.5
+
+
+def test_a_loop_of_steps_is_steps_one_after_another():
+    def loss_of(params: Any, batch: Any) -> Any:
+        miss = (params["weights"] - batch["length"] * batch["target"]) ** 2
+        return miss.sum(), {"error": miss.mean(), "each": miss}
+
+    draw = np.random.default_rng(0)
+    params = {"weights": draw.normal(size=3).astype(np.float32)}
+    batch = {"target": draw.normal(size=(4, 3)).astype(np.float32), "length": np.float32(2)}
+    batch["target"][3] = np.nan  # of no step
+    rates = np.array([0.1, 0.2, 0.05, 9.0], np.float32)
+    found, moments, (loss, aux, finite) = jax.jit(partial(train_steps, SETTINGS, loss_of))(params, zero_moments(params), batch, rates, 7, 3)
+    state, after, losses = params, zero_moments(params), []
+    for i in range(3):
+        state, after, result = train_step(SETTINGS, loss_of, state, after, step_of(batch, i), rates[i], 7 + i)
+        losses.append(result)
+    for a, b in zip(jax.tree.leaves((found, moments)), jax.tree.leaves((state, after)), strict=True):
+        assert np.allclose(a, b, rtol=1e-6)
+    assert np.allclose(loss, [*(one[0] for one in losses), 0]) and finite.tolist() == [True, True, True, False]
+    assert np.allclose(aux["each"], [*(one[1]["each"] for one in losses), np.zeros(3)]) and aux["error"].shape == (4,)
+
+
+@pytest.mark.slow
 def test_dispatches_end_where_parameters_are_averaged_and_where_training_ends(finished):
     assert [told.step for told in finished.told] == [16, 24, 32, 40, 44] and isinstance(finished.trainer.prepared.sampler, DeviceSampler)
     assert all(isinstance(told, TrainProgress) and type(told.rays) is type(told.samples) is int for told in finished.told)
@@ -71,6 +127,7 @@ def test_dispatches_end_where_parameters_are_averaged_and_where_training_ends(fi
     assert not finished.trainer.state.undecided and finished.told[-1].psnr > finished.told[0].psnr + 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [16, 32])
 def test_what_is_resumed_ends_with_the_same_bytes(finished, step):
     trainer = finished.trainer
@@ -88,6 +145,7 @@ def test_what_is_resumed_ends_with_the_same_bytes(finished, step):
         assert a.tobytes() == b.tobytes()
 
 
+@pytest.mark.slow
 def test_a_dispatch_that_breaks_is_a_sentence_and_changes_nothing(finished, monkeypatch):
     trainer = finished.trainer
     trainer.restore(*finished.arrays[24])
