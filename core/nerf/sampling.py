@@ -252,16 +252,33 @@ def pack_samples(
     enter is where the ray enters the domain, but at least near; the last sample comes before it leaves the domain, before far and
     before until. near, far, until: [R] or one float; `until` is an estimate (a termination depth), so Samples.cut marks its rays.
     """
-    enter, leave = clip_rays(domain, origins, directions, near)
-    leave = np.minimum(leave, far)
-    cut = until < leave
-    leave = np.minimum(leave, until)
-    counts = np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64)
+    enter, counts, cut = count_steps(domain, origins, directions, length, offset, near, far, until)
     ray, step = coarse_steps(occupied, origins, directions, enter, length, offset, counts)
     distance = (enter[ray] + (step + offset[ray]) * length).astype(np.float32)
     points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * distance[:, None]
     full = np.flatnonzero(occupied[cell_index(points)])
     return Samples(points[full], ray[full], length, distance[full], cut)
+
+
+def count_steps(
+    domain: Domain,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    length: float,
+    offset: NDArray[Any],
+    near: float | NDArray[Any],
+    far: float | NDArray[Any],
+    until: float | NDArray[Any],
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """(distance at which each ray enters the domain [R], number of its steps int64 [R], whether `until` cuts it bool [R]).
+
+    A ray that misses the domain has no steps. See `pack_samples`.
+    """
+    enter, leave = clip_rays(domain, origins, directions, near)
+    leave = np.minimum(leave, far)
+    cut = until < leave
+    leave = np.minimum(leave, until)
+    return enter, np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64), cut
 
 
 BLOCK = 8  # steps of a ray that one lookup in the coarse grid decides on
@@ -330,6 +347,10 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 
 
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
-    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell."""
+    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell.
+
+    Points and result are NumPy or JAX arrays.
+    """
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
-    return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])
+    cell: NDArray[Any] = (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]
+    return cell

@@ -69,8 +69,16 @@ class OccupancySampler:
         """Update the termination depths; every UPDATE_EVERY steps, the occupancy grid too: cells with an opacity under 0.01 over one
         final interval become empty after WARM_UP steps."""
         self._learn_termination(aux)
-        if step % UPDATE_EVERY and step not in (16, 32):
-            return
+        if self.is_due(step):
+            self.update_occupancy(params, step)
+
+    @staticmethod
+    def is_due(step: int) -> bool:
+        """Whether the occupancy grid is updated after a step."""
+        return step % UPDATE_EVERY == 0 or step in (16, 32)
+
+    def update_occupancy(self, params: Any, step: int) -> None:
+        """Measure cells of the occupancy grid; from WARM_UP on, some become empty."""
         self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
         if step >= WARM_UP:
             self.occupancy.prune(0.01 / self.settings.spacing)

@@ -14,15 +14,16 @@ from .validation import ValidationRays
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """The input of one step's loss.
+    """The input of one step's loss, or of several steps' (see `dispatch`).
 
     arrays: by name, always of the same shapes, so that the step is compiled once. samples, rays: how many of them are real, not
-    padding.
+    padding. steps: how many.
     """
 
     arrays: dict[str, Any]
     samples: int
     rays: int
+    steps: int = 1
 
 
 @dataclass(frozen=True)

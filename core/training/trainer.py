@@ -27,11 +27,13 @@ from ..progress import Note, Progress, silent
 from . import view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
+from .device_sampler import DeviceSampler
+from .dispatch import compiled_step
 from .non_finite import cause
 from .parallel import Devices
 from .prepare import held_out_of, prepare
 from .saving import Saver, TrainProgress, trained_field
-from .state import StepReport, TrainStep, initial_state, restored_state, state_arrays
+from .state import StepReport, initial_state, restored_state, state_arrays
 from .validation import ValidationRays, mean_psnr_of
 
 PATIENCE = 5  # steps in a row that are not finite end the training
@@ -56,7 +58,7 @@ class Trainer:
         self.held_out_psnr: float | None = None
         self.stopping = False  # set where the other processes of the training must stop with this one
         progress(0.0, "Compiling the training step")
-        self.train_step = TrainStep(settings, self.devices, self.devices.step(settings, self.prepared.sampler.loss))
+        self.train_step = compiled_step(settings, self.devices, self.prepared.sampler)
 
     def fraction(self) -> float:
         """How much of the training is done, in [0, 1]."""
@@ -99,20 +101,20 @@ class Trainer:
     def progress(self) -> TrainProgress:
         """The progress after the last step."""
         state, report = self.state, self.report
-        last = (report.rays, report.samples, report.rate)
+        last = (int(report.rays), int(report.samples), report.rate)
         return TrainProgress(self.fraction(), state.step, state.loss, state.psnr, state.elapsed, *last, self.held_out_psnr)
 
     def advance(self) -> None:
-        """One step. Raises SnergError when it and the PATIENCE - 1 before it are not finite."""
+        """One step, or those of one dispatch. Raises SnergError when the last PATIENCE steps are not finite."""
         sampler = self.prepared.sampler
-        batch = sampler.batch(self.devices.local(self.state.params), self.fraction())
+        batch = self.train_step.draw(sampler, self.state)
         self.state, self.report = self.train_step(self.state, batch)
         params = self.devices.local(self.state.params)
         sampler.learn(params, self.state.step, self.report.aux)
         self.state = self.train_step.recorded(self.state, self.report)
         if (failed := self.state.non_finite_steps) >= PATIENCE:
-            why, first = cause(sampler.loss, params, batch.arrays), self.state.step - failed + 1
-            raise SnergError(f"Training went wrong at step {first}, and {PATIENCE} times in a row: {why}.")
+            why, first = cause(sampler.loss, params, self.train_step.last(batch)), self.state.step - failed + 1
+            raise SnergError(f"Training went wrong at step {first}, and {failed} times in a row: {why}.")
 
     def test_view_dependence(self) -> None:
         """Decide between a deferred and a diffuse field, and go on as decided; see `view_dependence_test`."""
@@ -208,6 +210,9 @@ def train(
         saver = Saver(folder, trainer.checkpoint, save_every, trainer.state.step, trainer.held_out_psnr, preview)
     with saved_when_stopped(trainer, saver):
         run_to_the_end(trainer, saver, progress)
+    sampler = trainer.prepared.sampler
+    if isinstance(sampler, DeviceSampler) and (remark := sampler.remark()):
+        progress(1.0, Note(remark))
     field = trainer.field()
     if saver:
         with SAVING:
