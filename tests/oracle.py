@@ -173,7 +173,8 @@ def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
     for corner in np.ndindex(2, 2, 2):
         weight = np.where(np.array(corner) > 0, fraction, 1 - fraction).prod(axis=-1)
         x, y, z = (base + np.array(corner)).T
-        result[full] += weight[:, None] * scene.cells[cell[full], x, y, z] / (255 if scene.cells.dtype == np.uint8 else 1)
+        stored = scene.cells[cell[full], x, y, z] / (255 if scene.cells.dtype == np.uint8 else 1)
+        result[full] += weight[:, None] * (stored**2 if scene.square_roots else stored)
     return result
 
 

@@ -87,7 +87,7 @@ class Scene:
         return 255.0 ** (1 + self.square_roots) if self.quantised else 1.0
 
     def linear(self, stored: NDArray[Any]) -> NDArray[Any]:
-        """Stored values as numbers in proportion to what they mean, `unit` times as large: themselves, or the squares, uint16, of roots."""
+        """Stored values as numbers in proportion to what they mean, elementwise, `unit` times as large: the squares, uint16, of roots."""
         return np.square(stored, dtype=np.uint16) if self.square_roots else stored
 
     @property
