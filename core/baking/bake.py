@@ -18,7 +18,7 @@ from ..io.json_files import json_bytes
 from ..io.settings import check_whole, is_whole
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
-from ..progress import Progress, silent, within
+from ..progress import Note, Progress, silent, within
 from ..scene.blocks import count_voxels, dilate, number_blocks, reindex_blocks, touched_blocks
 from ..scene.quantize import quantize, quantize_roots
 from ..scene.scene import Scene
@@ -115,6 +115,10 @@ def bake(
         supersampling, evidence = choose_supersampling(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
     grain = fog_grain(field, voxel_grid, culled.mask, culled.indirection, settings.seed) if settings.quantise else 0.0
     thin_fog = grain > MAX_GRAIN
+    if thin_fog:
+        progress(
+            SHARES["visibility"], Note(f"Thin fog: stored as square roots, since 8 even bits would give it {grain:.1f} levels of grain.")
+        )
     quantiser = (quantize_roots if thin_fog else quantize) if settings.quantise else None
     cells, indirection = _fill(field, voxel_grid, culled, supersampling, settings, quantiser, cache, tell)
     timer.lap("prefilter")

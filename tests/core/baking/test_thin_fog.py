@@ -13,7 +13,7 @@ from snerg.core.baking.bake import BakeSettings, bake
 from snerg.core.baking.finish import Finishing, finish
 from snerg.core.baking.fit_voxels import fit_voxels
 from snerg.core.baking.prune import prune
-from snerg.core.baking.thin_fog import MAX_GRAIN
+from snerg.core.baking.thin_fog import MAX_GRAIN, fog_grain
 from snerg.core.data.load import read_dataset
 from snerg.core.errors import SnergError
 from snerg.core.export.codecs import CodecSettings
@@ -27,11 +27,12 @@ from snerg.core.nerf.model import ViewNetwork
 from snerg.core.nerf.sampling import Domain
 from snerg.core.rendering.early_termination import premultiplied_excess
 from snerg.core.rendering.render import render_scene
-from snerg.core.scene.blocks import fill_aprons
+from snerg.core.scene.blocks import block_coordinates, fill_aprons, number_blocks, pack_mask
 from snerg.core.scene.coarse import coarse_scene
 from snerg.core.scene.isosurface import isosurface
 from snerg.core.scene.quantize import DITHER_ROOTS_BELOW, quantize_roots
 from snerg.core.scene.scene import Scene
+from snerg.core.scene.voxel_grid import VoxelGrid
 from snerg.core.study.effects import of_scene
 
 LENGTH = 1000  # voxels
@@ -90,6 +91,23 @@ def test_thin_fog_is_off_by_less_than_half_a_level(alpha: float) -> None:
     assert scene.square_roots and scene.effects["thin_fog"] and scene.about["bake"]["thin_fog"]["grain"] > MAX_GRAIN
     assert np.allclose(exact.cells[..., -1].max(), alpha, rtol=1e-3)
     assert levels(scene, exact) < 0.5
+
+
+@pytest.mark.hard_case(76)
+@pytest.mark.parametrize("alpha", [1e-4, 5e-4, 0.03])
+def test_the_grain_is_that_of_its_closed_form(alpha: float) -> None:
+    """Of even fog in rows of known lengths: 1002 voxels along the tube and 26 across; of 12 levels and more none."""
+    grid = VoxelGrid.inside(BOX, VOXEL)
+    indirection = number_blocks(np.ones(grid.blocks, bool))
+    inside = np.ones((len(block_coordinates(indirection)), 30, 30, 30), np.uint8)
+    grid.zero_outside(inside, block_coordinates(indirection))
+    found = fog_grain(Fog(alpha), grid, pack_mask(inside.astype(bool)), indirection, 0)
+    part = 255 * alpha % 1
+    rows = [part * (1 - part) * np.sum((1 - alpha) ** (2 * np.arange(n))) for n in grid.shape]
+    held = np.array([26 / 30 * 26 / 30, 26 / 30, 26 / 30])  # the share of random rows of blocks that lie in the grid
+    assert grid.shape == (1002, 26, 26)
+    assert found == pytest.approx(2 / 3 * np.sqrt((held * rows).sum() / held.sum()), rel=0.1)
+    assert fog_grain(Fog(12.5 / 255), grid, pack_mask(inside.astype(bool)), indirection, 0) == 0
 
 
 @pytest.mark.hard_case(76)

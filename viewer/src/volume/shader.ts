@@ -22,7 +22,10 @@ const glslFlag = (value: unknown) => (value ? "1" : "0");
  * depth. picking: give the depth at half transmittance in place of a colour, see `picking.ts`.
  */
 export function fragmentShader(scene: SceneDescription, pages: number, sceneDepth: boolean, picking = false): string {
-  const lookups = [...(scene.network ? ["rgba", "feature"] : ["rgba"]).map((kind) => texelLookup(kind, pages, scene.square_roots)), distanceLookup(pages)];
+  const lookups = [
+    ...(scene.network ? ["rgba", "feature"] : ["rgba"]).map((kind) => texelLookup(kind, pages, scene.square_roots)),
+    distanceLookup(pages),
+  ];
   return fillTemplate(march, {
     VIEW_DEPENDENCE: glslFlag(scene.network),
     OPACITY_CORRECTION: glslFlag(scene.fill_holes),
