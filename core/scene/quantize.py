@@ -46,7 +46,8 @@ def quantize_roots(values: NDArray[Any], noise: NDArray[Any]) -> NDArray[Any]:
     alpha = _root(squares[:, -1:], noise[:, -1:])
     straight = np.minimum(squares[:, :-1] / np.maximum(squares[:, -1:], np.float32(1e-9)), 1)
     colour = _root(np.where(thin | (alpha == 0), straight * np.square(alpha), squares[:, :-1]), noise[:, :-1])
-    return np.minimum(np.concatenate([colour, alpha], axis=-1), 255).astype(np.uint8)
+    stored: NDArray[np.uint8] = np.minimum(np.concatenate([colour, alpha], axis=-1), 255).astype(np.uint8)
+    return stored
 
 
 def _root(squares: NDArray[Any], noise: NDArray[Any]) -> NDArray[Any]:
