@@ -85,7 +85,7 @@ def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tu
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
 
 
-@pytest.mark.hard_case(34, 76)
+@pytest.mark.hard_case(34, 78)
 @pytest.mark.parametrize("diffuse", [False, True], ids=["network", "diffuse"])
 def test_thin_fog(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
     """Square roots are squared before they are interpolated, on the page as in the marcher."""
