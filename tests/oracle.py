@@ -175,8 +175,9 @@ def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
     found = np.zeros((len(full), voxels.shape[-1]))
     for x, y, z in np.ndindex(2, 2, 2):
         weight = near[x][:, 0] * near[y][:, 1] * near[z][:, 2]
-        found += weight[:, None] * voxels[first + steps @ (x, y, z)]
-    result[full] = found / (255 if scene.cells.dtype == np.uint8 else 1)
+        stored = voxels[first + steps @ (x, y, z)] / (255 if scene.cells.dtype == np.uint8 else 1)
+        found += weight[:, None] * (stored**2 if scene.square_roots else stored)
+    result[full] = found
     return result
 
 
