@@ -119,6 +119,42 @@ def test_what_happens_is_said_in_words(page: Page, made: Path, serve: Serve) -> 
     assert heard(page).count("Camera Front, 1 of 7.") <= 2
 
 
+def test_single_key_shortcuts_can_be_kept_to_the_picture(page: Page, made: Path, serve: Serve) -> None:
+    """WCAG 2.1.4. Named keys stay; the choice outlives the page; and what is chosen off can be chosen on."""
+
+    def state() -> dict[str, object]:
+        return page.evaluate("document.querySelector('snerg-viewer').viewer.state")
+
+    def choose(everywhere: bool) -> None:
+        page.get_by_role("button", name="Help").click()
+        page.get_by_role("checkbox", name="Single-key shortcuts").set_checked(everywhere)
+        page.get_by_role("button", name="Close").click()
+
+    assert opened(page, serve(made) + "?width=80&height=60") is None
+    page.emulate_media(reduced_motion="reduce")  # cameras change at once
+    page.keyboard.press("2")
+    assert state()["camera"] == "Shifted, rolled"
+    choose(False)
+    for focused in ("help", None):
+        page.evaluate("document.querySelector('snerg-viewer').shadowRoot.activeElement?.blur()")
+        if focused:
+            page.locator(f"#{focused}").focus()
+        for key in ("3", "v", "n", "-", "c"):
+            page.keyboard.press(key)
+        assert (state()["camera"], state()["mode"], state()["atCamera"]) == ("Shifted, rolled", "orbit", True)
+    page.locator("#help").press("ArrowUp")
+    assert state()["atCamera"] is False, "an arrow is no character"
+    page.locator("#canvas").press("1")
+    assert state()["camera"] == "Front"
+    page.reload()
+    assert page.evaluate("window.snerg.ready")
+    page.keyboard.press("2")
+    assert state()["camera"] == "Front"
+    choose(True)
+    page.locator("#help").press("2")
+    assert state()["camera"] == "Shifted, rolled"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390, 820, 1280])
 @pytest.mark.parametrize("text", [100, 200])

@@ -8,6 +8,7 @@ import { colourOf } from "./backdrop";
 import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
 import { MODES } from "./navigation";
+import { Shortcuts } from "./shortcuts";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
@@ -44,6 +45,7 @@ export class SnergViewerElement extends HTMLElement {
   private pathBar: PathBar | null = null;
   private leaving = new AbortController(); // tells the optional code that the viewer is closed
   private backgrounds: Backgrounds | null = null;
+  private shortcuts: Shortcuts | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -62,6 +64,7 @@ export class SnergViewerElement extends HTMLElement {
     sheet.replaceSync(style);
     this.root.adoptedStyleSheets = [sheet];
     this.find("reload").onclick = () => location.reload();
+    this.shortcuts = new Shortcuts(this.find<HTMLInputElement>("shortcuts"));
     const poster = this.getAttribute("poster");
     if (poster) this.showPoster(poster);
     try {
@@ -247,6 +250,7 @@ export class SnergViewerElement extends HTMLElement {
     const origin = event.composedPath()[0];
     const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    if (origin !== this.viewer?.canvas && !this.shortcuts?.allows(event)) return;
     const onButton = origin instanceof HTMLElement && origin.matches("button");
     if (this.pathBar?.press(event.key, onButton)) return event.preventDefault();
     const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form
