@@ -301,7 +301,9 @@ def test_what_is_missing_or_damaged_is_named(
         (tmp_path / "web" / name).unlink()
     else:
         (tmp_path / "web" / name).write_text(text)
-    assert opened(page, serve(tmp_path / "web")) == words
+    assert opened(page, serve(tmp_path / "web")) is None, "the scene is shown"
+    assert page.locator("#missing-list p").all_inner_texts() == [words]
+    assert page.locator("#path").count() == 0
 
 
 def test_damaged_keys_are_not_a_path() -> None:
