@@ -14,7 +14,8 @@ from ..core.errors import SnergError
 from ..core.export.scene_json import read_scene_json
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
-from ..core.geometry.camera_path import CameraPath, Shot, path_bytes, thinned
+from ..core.geometry.camera_path import CameraPath, Shot, path_bytes
+from ..core.geometry.thin_path import thinned
 from ..core.io.guard import reading
 from ..core.units import file_size
 from .bridge import camera_from_blender
@@ -27,7 +28,7 @@ _counted: dict[int, tuple[Any, str]] = {}  # by the scene: what was counted, and
 def camera_move(scene: bpy.types.Scene, box: Box | None) -> CameraPath:
     """The path of the active camera, or of those that markers bind, from the scene's first frame to its last.
 
-    box: of the baked scene, which the path shows within camera_path.TOLERANCE of where a render would; None: everything between the
+    box: of the baked scene, which the path shows within thin_path.TOLERANCE of where a render would; None: everything between the
     camera's clip planes. Every frame is evaluated, and the frame after the last, so that a loop has no gap.
     Raises SnergError where there is no camera, or one is panoramic or cannot be used.
     """
