@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from .camera_path import Shot
 from .camera_state import PLAIN, PLAIN_OF_CURVE, ROTATION, TURN, blended, curved, facing, hermite, pixel_errors, state_of
 from .rotation import product
 
+T = TypeVar("T")
 TOLERANCE = 0.25  # pixels by which a thinned path may show a point elsewhere
 STILL = 1e-3  # pixels by which a camera that stands still may move: rounding of Blender's float32 matrices
 CURVE_PAYS = 3  # times as far as a line must a curve go: in a file it takes the room of two keys
@@ -25,13 +27,29 @@ def thinned(shot: Shot, depths: NDArray[np.float64], centre: NDArray[np.float64]
     shot: linear from key to key. depths: [keys, 2], as in `pixel_errors`. centre: [3] of what is shown.
     The camera turns around itself, around `centre`, or around the point that it looks at most of the time: whatever takes less room.
     """
-    found = [_thinned(Shot(shot.frames, shot.cameras), depths, tolerance)]
+    return drained(thin_steps(shot, depths, centre, tolerance))
+
+
+def drained(steps: Generator[Any, None, T]) -> T:
+    """What steps return, all of them taken."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(T, end.value)
+
+
+def thin_steps(
+    shot: Shot, depths: NDArray[np.float64], centre: NDArray[np.float64], tolerance: float = TOLERANCE
+) -> Generator[None, None, Shot]:  # fmt: skip
+    """`thinned`, one key a step, so that a window can answer meanwhile."""
+    found = [(yield from _thinned(Shot(shot.frames, shot.cameras), depths, tolerance))]
     if len(found[0].frames) > 2:
         axes = np.array([camera.camera_to_world[:3, 2] for camera in shot.cameras])
         places = np.array([camera.position for camera in shot.cameras])
         for point in (centre, looked_at(places, axes)):
             distances = np.maximum(((places - point) * axes).sum(axis=-1), 0.0)
-            found.append(_thinned(Shot(shot.frames, shot.cameras, tuple(map(float, distances))), depths, tolerance))
+            found.append((yield from _thinned(Shot(shot.frames, shot.cameras, tuple(map(float, distances))), depths, tolerance)))
     return min(found, key=lambda one: len(one.frames) + 2 * sum(curve is not None for curve in one.curves))
 
 
@@ -43,7 +61,7 @@ def looked_at(places: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray
     return np.asarray(middle + offset)
 
 
-def _thinned(shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Shot:
+def _thinned(shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Generator[None, None, Shot]:
     """From each key to the farthest frame that a line or a curve reaches within the tolerance."""
     samples = Samples.of(shot, depths, tolerance)
     chosen, curves, end = [0], [], len(shot.frames) - 1
@@ -56,10 +74,11 @@ def _thinned(shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Shot:
             curve = samples.curve(first, last)
         chosen.append(last)
         curves.append(curve)
+        yield
     if len(chosen) == 2 and samples.still:
         chosen, curves = chosen[:1], []
-    picked = [tuple(values[i] for i in chosen) for values in (shot.frames, shot.cameras, shot.distances)]
-    return Shot(*picked, tuple(curves))  # type: ignore[arg-type]
+    frames, distances = (tuple(values[i] for i in chosen) for values in (shot.frames, shot.distances))
+    return Shot(frames, tuple(shot.cameras[i] for i in chosen), distances, tuple(curves))
 
 
 def farthest(fits: Callable[[int, int], bool], first: int, known: int, end: int) -> int:

@@ -148,7 +148,8 @@ def test_single_key_shortcuts_can_be_kept_to_the_picture(page: Page, made: Path,
     assert state()["camera"] == "Front"
     page.reload()
     assert page.evaluate("window.snerg.ready")
-    page.keyboard.press("2")
+    page.locator("#canvas").press("1")
+    page.locator("#help").press("2")
     assert state()["camera"] == "Front"
     choose(True)
     page.locator("#help").press("2")

@@ -141,7 +141,7 @@ def test_the_scene_stays_where_optional_files_are_missing(
     write_bundle(scene, cameras, web, page=PageSettings(thumbnails=3, annotations=notes, measures=True, vr=True), path=path)
     for name in ("coarse", "thumbnails", "optional"):
         shutil.rmtree(web / name)
-    for name in ("path.json", "annotations.json", "poster.webp"):
+    for name in ("annotations.json", "poster.webp"):
         (web / name).unlink()
     assert opened(page, serve(web) + "?width=160&height=120#benchmark&frames=1") is None
     said = page.locator("#missing-list p")
