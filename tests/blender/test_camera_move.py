@@ -159,7 +159,7 @@ def test_a_move_in_slices_is_the_same(stage: Any) -> None:
         assert stage.camera.location.z == 1.25 and not [thing for thing in bpy.data.objects if thing.name.startswith("SNeRG Rig")]
     assert path_bytes(path) == path_bytes(whole)
     fractions = [fraction for fraction, _ in seen]
-    assert len(seen) > 10 and fractions == sorted(fractions) and seen[0][1].startswith("frame ") and seen[0][1].endswith(" of 16")
+    assert len(seen) > 3 and fractions == sorted(fractions) and seen[0][1].startswith("frame ") and seen[0][1].endswith(" of 16")
     stopped = camera_move_steps(stage, BOX, 1e-9)
     next(stopped)
     stopped.close()
