@@ -42,7 +42,7 @@ def drained(steps: Generator[Any, None, T]) -> T:
 def thin_steps(
     shot: Shot, depths: NDArray[np.float64], centre: NDArray[np.float64], tolerance: float = TOLERANCE
 ) -> Generator[None, None, Shot]:  # fmt: skip
-    """`thinned`, one key a step, so that a window can answer meanwhile."""
+    """`thinned`, one key a step, so that a window can answer meanwhile. depths: [keys, 2]. centre: [3]."""
     found = [(yield from _thinned(Shot(shot.frames, shot.cameras), depths, tolerance))]
     if len(found[0].frames) > 2:
         axes = np.array([camera.camera_to_world[:3, 2] for camera in shot.cameras])
@@ -111,7 +111,7 @@ class Samples:
 
     @classmethod
     def of(cls, shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Samples:
-        """The samples of a shot; arguments as of `thinned`."""
+        """The samples of a shot. depths: [keys, 2], as of `thinned`; tolerance: pixels."""
         states = np.array([state_of(camera, distance) for camera, distance in zip(shot.cameras, shot.distances, strict=True)])
         return cls(np.array(shot.frames, np.float64), states, depths, shot.cameras[0], tolerance)
 

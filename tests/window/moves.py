@@ -37,7 +37,7 @@ def camera_move(window: Window, baked: str) -> Walk:
     yield from window.picture("moving")
     yield from stop_counting(window)
     yield from press(window, "snerg.count_keyframes")
-    yield from window.until(lambda: any("keyframe" in text for text in window.texts("export")), 20)
+    yield from window.until(lambda: any("keyframes, " in text for text in window.texts("export")), 20)
     window.seen["counted"], window.seen["frame"] = window.texts("export"), scene.frame_current
     yield from window.picture("counted")
     yield from press(window, "snerg.export_web")
@@ -49,7 +49,7 @@ def camera_move(window: Window, baked: str) -> Walk:
     window.seen["path"] = json.loads((web / "path.json").read_text())
     window.operator("open_page")
     address = import_module("bl_ext.user_default.snerg_addon.snerg_addon.page_server").address_of(web)
-    window.seen["script"] = urllib.request.urlopen(f"{address}path.js").read(200).decode()
+    window.seen["script"] = urllib.request.urlopen(f"{address}optional/path.js").read(200).decode()
 
 
 def stop_counting(window: Window) -> Walk:
