@@ -65,10 +65,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def on_curves(path: CameraPath) -> CameraPath:
-    """The path with a curve from each key to the next, whose velocities are of all kinds."""
+    """The path with a curve from each key to the next, whose velocities are of all kinds, and once between opposite quaternions."""
     random = np.random.default_rng(8)
     curves = [(random.uniform(-0.04, 0.04, (2, 11)) * [1, 1, 1, 2, 2, 2, 0.5, 0.5, 20, 20, 1],) for _ in path.shots]
-    return replace(path, shots=tuple(replace(shot, curves=curve) for shot, curve in zip(path.shots, curves, strict=True)))
+    first, last = (replace(shot, curves=curve) for shot, curve in zip(path.shots, curves, strict=True))
+    turned = [posed((angle, 0, 0), 3.0, tuple(c.position)) for angle, c in zip((170, 190), last.cameras, strict=True)]
+    cameras = tuple(replace(c, camera_to_world=pose) for c, pose in zip(last.cameras, turned, strict=True))
+    return replace(path, shots=(first, replace(last, cameras=cameras)))
 
 
 @pytest.mark.parametrize("curves", [False, True], ids=["lines", "curves"])

@@ -113,6 +113,18 @@ def test_along_a_curve(curve: np.ndarray, at: np.ndarray | float) -> None:
         assert np.allclose((turns[1] * turns[0].inv()).as_rotvec() / step, velocity, rtol=0, atol=1e-5)
 
 
+def test_a_curve_turns_the_shorter_way() -> None:
+    """Between 170 and 190 degrees the quaternions of the two rotations, each with w above 0, are nearly opposite."""
+    ends = []
+    for angle in (170, 190):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+        ends.append(camera(pose))
+    assert quaternion(ends[0].camera_to_world[:3, :3]) @ quaternion(ends[1].camera_to_world[:3, :3]) < -0.9
+    found = Shot((0.0, 5.0), tuple(ends), (), (np.zeros((2, 11)),)).camera_at(2.5)
+    assert np.allclose(found.camera_to_world[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-9)
+
+
 def test_a_curve_is_read_written_and_moved(curve: np.ndarray) -> None:
     """Only a file with curves has version 2, and a similarity moves what is seen between keys, too."""
     cameras = over_the_pole(np.arange(3.0))
