@@ -69,9 +69,12 @@ def test_axe_finds_nothing(axed: Page, made: Path, serve: Serve) -> None:
 def test_axe_finds_nothing_while_loading_and_after_an_error(axed: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
     copied = Path(shutil.copytree(made, tmp_path / "web"))
     (copied / "poster.webp").unlink()
+    cameras = (copied / "cameras.json").read_text()
+    (copied / "cameras.json").write_text(cameras.replace('"version"', '"coarse":true,"version"', 1))  # whose files are not there
     axed.route("**/scene/rgba_001.png", lambda route: None)  # not answered
     axed.goto(serve(copied))
     axed.get_by_text("Loading the scene: ").wait_for()
+    axed.get_by_role("log").get_by_text("coarse/scene.json is missing").wait_for()
     assert faults(axed) == []
     axed.unroute_all()
     (copied / "scene" / "scene.json").write_text("null")
