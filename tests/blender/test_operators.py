@@ -70,7 +70,8 @@ def started(monkeypatch, name: str) -> list[str]:
     module = importlib.import_module(f"snerg.operators.{name}")
     for starter in ("start_command", "start_training"):
         monkeypatch.setattr(module, starter, lambda arguments: arguments, raising=False)
-    return getattr(module, f"SNERG_OT_{name}").start(None, bpy.context, project_of(bpy.context.scene))
+    operator = getattr(module, f"SNERG_OT_{name}")  # in place of an instance, which only Blender makes
+    return operator.start(operator, bpy.context, project_of(bpy.context.scene))
 
 
 def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):

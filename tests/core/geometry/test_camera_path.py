@@ -8,13 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from scenes import looking
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera
-from snerg.core.geometry.camera_path import TOLERANCE, CameraPath, Shot, path_bytes, thinned
+from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
 from snerg.core.geometry.rotation import quaternion, rotation_matrix, slerp
+from snerg.core.geometry.thin_path import TOLERANCE, thinned
 
 FAR = np.array([1e6, -2e6, 5e5])
 
@@ -83,6 +85,102 @@ def test_around_a_point(at: np.ndarray | float) -> None:
         assert np.allclose(found.position - (4 - part) * found.camera_to_world[:3, 2], np.array([0.5, 0, 0.2]) + at, rtol=0, atol=1e-8)
 
 
+@pytest.fixture
+def curve() -> np.ndarray:
+    """Velocities of all kinds, a frame."""
+    return np.random.default_rng(5).uniform(-0.1, 0.1, (2, 11)) * [1, 1, 1, 0.5, 0.5, 0.5, 0.2, 0.2, 20, 20, 1]
+
+
+@pytest.mark.parametrize("at", [0.0, FAR], ids=["at the origin", "far from it"])
+def test_along_a_curve(curve: np.ndarray, at: np.ndarray | float) -> None:
+    """Each value is SciPy's cubic Hermite spline; the angular velocities are those with which the camera leaves and arrives."""
+    frames = (2.0, 12.0)
+    one, other = over_the_pole(np.array([0.0, 3.0, 9.0]), at)[:2]
+    shot = Shot(frames, (one, other), (4.0, 3.0), (curve,))
+
+    def spline(a: object, b: object, columns: slice | int) -> CubicHermiteSpline:
+        return CubicHermiteSpline(frames, np.array([a, b]), curve[:, columns])
+
+    targets = [c.position - d * c.camera_to_world[:3, 2] for c, d in ((one, 4.0), (other, 3.0))]
+    target, distance = spline(*targets, slice(0, 3)), spline(4.0, 3.0, 10)
+    focal, centre = spline(np.log(one.focal), np.log(other.focal), slice(6, 8)), spline(one.centre, other.centre, slice(8, 10))
+    for frame in np.linspace(2, 12, 9):
+        found = shot.camera_at(frame)
+        assert np.allclose(found.position, target(frame) + distance(frame) * found.camera_to_world[:3, 2], rtol=0, atol=1e-8)
+        assert np.allclose(found.focal, np.exp(focal(frame))) and np.allclose(found.centre, centre(frame))
+    for frame, step, velocity in ((2.0, 1e-6, curve[0, 3:6]), (12.0, -1e-6, curve[1, 3:6])):
+        turns = Rotation.from_matrix([shot.camera_at(frame + part).camera_to_world[:3, :3] for part in (0.0, step)])
+        assert np.allclose((turns[1] * turns[0].inv()).as_rotvec() / step, velocity, rtol=0, atol=1e-5)
+
+
+def test_a_curve_turns_the_shorter_way() -> None:
+    """Between 170 and 190 degrees the quaternions of the two rotations, each with w above 0, are nearly opposite."""
+    ends = []
+    for angle in (170, 190):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+        ends.append(camera(pose))
+    assert quaternion(ends[0].camera_to_world[:3, :3]) @ quaternion(ends[1].camera_to_world[:3, :3]) < -0.9
+    found = Shot((0.0, 5.0), tuple(ends), (), (np.zeros((2, 11)),)).camera_at(2.5)
+    assert np.allclose(found.camera_to_world[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-9)
+
+
+def test_a_curve_is_read_written_and_moved(curve: np.ndarray) -> None:
+    """Only a file with curves has version 2, and a similarity moves what is seen between keys, too."""
+    cameras = over_the_pole(np.arange(3.0))
+    path = CameraPath((Shot((1.0, 9.0, 20.0), tuple(cameras), (4.0, 4.5, 5.0), (curve, None)),), 1, 20, 24.0)
+    value = json.loads(path_bytes(path))
+    assert value["version"] == 2 and path_of(np.arange(3.0), cameras).to_json()["version"] == 1
+    assert ["curve" in key for key in value["shots"][0]["keys"]] == [True, False, False]
+    similarity = np.eye(4)
+    similarity[:3, :3] = 2.5 * Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
+    similarity[:3, 3] = [3, -7, 1]
+    for other, move in ((CameraPath.from_json(value), np.eye(4)), (path.moved(similarity), similarity)):
+        for frame in np.linspace(0, 21, 22):
+            found, truth = other.camera_at(frame), path.camera_at(frame).moved(move)
+            assert np.allclose(found.camera_to_world, truth.camera_to_world, rtol=0, atol=1e-6)
+            assert np.allclose(found.focal, truth.focal) and np.allclose(found.centre, truth.centre)
+
+
+def test_a_curve_of_any_numbers_gives_a_camera() -> None:
+    """Damaged velocities: quaternions that vanish on the way, lenses beyond all bounds."""
+    one = camera(np.eye(4))
+    half = np.eye(4)
+    half[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    for worst in (1e4, -1e4):
+        shot = Shot((0.0, 1e6), (one, camera(half)), (), (np.full((2, 11), worst),))
+        assert all(np.isfinite(shot.camera_at(frame).camera_to_world).all() for frame in np.linspace(0, 1e6, 11))
+    vanishing = np.zeros((2, 11))
+    vanishing[:, 3] = -8.0  # radians a frame: half way through half a turn, all four numbers of the quaternion are 0
+    shot = Shot((0.0, 1.0), (one, camera(half)), (), (vanishing,))
+    assert all(np.isfinite(shot.camera_at(frame).camera_to_world).all() for frame in np.linspace(0, 1, 101))
+
+
+def eased(u: np.ndarray) -> np.ndarray:
+    return u * u * (3 - 2 * u)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.2], ids=["a dolly", "an orbit"])
+def test_an_eased_move_has_few_keys(turn: float) -> None:
+    """It begins and ends at rest, as Blender's keys do by default: a handful of curves, where lines took three frames in four."""
+    frames, cameras = np.arange(1.0, 101.0), []
+    for u in eased((frames - 1) / 99):
+        cameras.append(camera(looking((5 * math.sin(turn * u), -5 * math.cos(turn * u), 1 + u), (0.3 * u, 0, 0))))
+    shot = thinned(Shot(tuple(frames), tuple(cameras)), np.array([[3.5, 7.0]] * 100), np.zeros(3))
+    assert len(shot.frames) <= 5
+    points = np.random.default_rng(2).uniform(-0.8, 0.8, (100, 3))
+    for frame, truth in zip(frames, cameras, strict=True):
+        assert np.abs(truth.project(points)[0] - shot.camera_at(frame).project(points)[0]).max() < TOLERANCE
+
+
+def test_noise_keeps_its_lines() -> None:
+    """Where a curve reaches no farther than three lines, it would take more room."""
+    frames, random = np.arange(1.0, 61.0), np.random.default_rng(4)
+    poses = [looking((0, -5, 1), random.uniform(-0.1, 0.1, 3)) for _ in frames]
+    shot = thinned(Shot(tuple(frames), tuple(map(camera, poses))), np.array([[3.5, 7.0]] * 60), np.zeros(3))
+    assert all(curve is None for curve in shot.curves) and len(shot.frames) > 50
+
+
 def test_a_cut_shows_the_other_camera_at_once() -> None:
     one, other = (camera(looking((x, -4.0, 1.0), (0, 0, 0)), name=name) for x, name in ((0.0, "A"), (3.0, "B")))
     path = CameraPath((Shot((1.0, 10.0), (one, replace(one, focal=(150.0, 150.0)))), Shot((10.0,), (other,))), 1, 20, 25.0)
@@ -112,13 +210,16 @@ def test_fewer_keys_show_the_same_within_the_bound() -> None:
     reach = [c.project(points)[1] for c in cameras]
     depths = np.array([[r.min(), r.max()] for r in reach])
     shot = thinned(Shot(tuple(frames), tuple(cameras)), depths, np.zeros(3))
-    assert 8 < len(shot.frames) < 90 and shot.frames[0] == 1 and shot.frames[-1] == 120
+    assert 2 < len(shot.frames) < 9 and shot.frames[0] == 1 and shot.frames[-1] == 120
     worst = 0.0
     for frame, truth in zip(frames, cameras, strict=True):
         there, here = truth.project(points)[0], shot.camera_at(frame).project(points)[0]
         inside = ((there >= 0) & (there <= [truth.width, truth.height])).all(axis=1)
         worst = max(worst, float(np.abs(there - here)[inside].max(initial=0)))
     assert 0.02 < worst < TOLERANCE
+    between = np.arange(1.25, 120, 0.5)
+    for frame, truth in zip(between, over_the_pole(np.append(between, 120.0)), strict=False):
+        assert np.abs(truth.project(points)[0] - shot.camera_at(frame).project(points)[0]).max() < TOLERANCE, "nor does it shake between"
     elsewhere = thinned(Shot(tuple(frames), tuple(cameras)), depths, np.array([0.3, 0.2, 0.6]))
     assert len(elsewhere.frames) <= len(shot.frames) + 1, "the point that the camera looks at is found"
     assert len(thinned(Shot((1.0, 2.0, 3.0), (cameras[0],) * 3), np.ones((3, 2)), np.zeros(3)).frames) == 1, "what stands still has one key"
@@ -131,7 +232,7 @@ def test_an_orthographic_cameras_scale_and_turn_are_kept() -> None:
         cameras.append(camera(pose, projection="orthographic", focal=(60 + 40 * u, 60 + 40 * u)))
     points = np.random.default_rng(2).uniform(-0.8, 0.8, (100, 3))
     shot = thinned(Shot(tuple(frames), tuple(cameras)), np.array([[2.0, 6.0]] * 40), np.zeros(3))
-    assert len(shot.frames) < 30
+    assert len(shot.frames) < 6
     for frame, truth in zip(frames, cameras, strict=True):
         assert np.abs(truth.project(points)[0] - shot.camera_at(frame).project(points)[0]).max() < TOLERANCE
 
@@ -139,7 +240,7 @@ def test_an_orthographic_cameras_scale_and_turn_are_kept() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 2}, "version 2"),
+        ({"version": 3}, "version 3"),
         ({"fps": 0}, "fps is 0"),
         ({"fps": 5000}, "5000.0 frames a second"),
         ({"start": 9, "end": 3}, "the end must not be before"),
@@ -157,6 +258,14 @@ def test_what_is_no_path_is_refused(change: dict[str, object], words: str) -> No
         CameraPath.from_json(value)
 
 
+def test_a_curve_of_the_last_key_leads_nowhere() -> None:
+    frames = np.arange(1.0, 4.0)
+    damaged = path_of(frames, over_the_pole(frames)).to_json()
+    damaged["shots"][0]["keys"][2]["curve"] = [[0.0] * 11] * 2
+    with pytest.raises(SnergError, match="the last key of a shot has a curve"):
+        CameraPath.from_json(damaged)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
@@ -168,6 +277,8 @@ def test_what_is_no_path_is_refused(change: dict[str, object], words: str) -> No
         ("focal", [-1, 1], "focal length"),
         ("far", 0, "far is 0"),
         ("near", 500.0, "far plane"),
+        ("curve", [[0.0] * 11], "curve is"),
+        ("curve", [[0.0] * 10 + [float("inf")]] * 2, "curve holds"),
     ],
 )
 def test_damaged_keys_are_refused(key: str, value: object, words: str) -> None:

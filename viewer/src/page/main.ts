@@ -72,7 +72,7 @@ const measureAddressed = () => {
   const kind = address.get("benchmark");
   if (kind === null || element.problem !== null) return;
   const keep = (result: unknown) => Object.assign(hook, { benchmark: result });
-  element.benchmark(kind, Number(address.get("frames")) || undefined).then(keep, (error) => element.fail(asViewerError(error)));
+  element.benchmark(kind, Number(address.get("frames")) || undefined).then(keep, (error) => element.report(asViewerError(error)));
 };
 measureAddressed();
 window.addEventListener("hashchange", ({ oldURL }) => !new URL(oldURL).hash.includes("benchmark") && measureAddressed());

@@ -8,6 +8,7 @@ import { colourOf } from "./backdrop";
 import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
 import { MODES } from "./navigation";
+import { Shortcuts } from "./shortcuts";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
@@ -44,6 +45,7 @@ export class SnergViewerElement extends HTMLElement {
   private pathBar: PathBar | null = null;
   private leaving = new AbortController(); // tells the optional code that the viewer is closed
   private backgrounds: Backgrounds | null = null;
+  private shortcuts: Shortcuts | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -62,6 +64,11 @@ export class SnergViewerElement extends HTMLElement {
     sheet.replaceSync(style);
     this.root.adoptedStyleSheets = [sheet];
     this.find("reload").onclick = () => location.reload();
+    this.find("close-missing").onclick = () => {
+      this.find("missing-list").replaceChildren();
+      this.find("close-missing").hidden = true;
+    };
+    this.shortcuts = new Shortcuts(this.find<HTMLInputElement>("shortcuts"));
     const poster = this.getAttribute("poster");
     if (poster) this.showPoster(poster);
     try {
@@ -93,6 +100,14 @@ export class SnergViewerElement extends HTMLElement {
     this.find("problem-text").textContent = error.message;
     this.dispatchEvent(new CustomEvent("error", { detail: error.message }));
     this.settle(false);
+  }
+
+  /** Say beside the scene what is missing from it. */
+  report(error: ViewerError): void {
+    const list = this.find("missing-list");
+    if ([...list.children].some((line) => line.textContent === error.message)) return;
+    list.append(Object.assign(document.createElement("p"), { textContent: error.message }));
+    this.find("close-missing").hidden = false;
   }
 
   /** Show the camera of that name or number, as its entry in the list does. duration: seconds of a flight there. */
@@ -155,6 +170,7 @@ export class SnergViewerElement extends HTMLElement {
       };
     }
     viewer.on("error", (error) => this.fail(error));
+    viewer.on("missing", (error) => this.report(error));
     viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
       const about = (bytes / slices) * totalSlices; // its slices are about equally large
@@ -217,10 +233,7 @@ export class SnergViewerElement extends HTMLElement {
     const host = { viewer, root: this.root, stage: this.find("stage"), choose: (name: string) => this.choose(name, FLIGHT) };
     for (const name of viewer.bundle?.parts ?? []) {
       const added = loadOptional(name).then(({ attach }) => attach({ ...host, signal: this.leaving.signal }));
-      added.catch((error: unknown) => {
-        this.find("hint").textContent = asViewerError(error).message;
-        this.find("hint").hidden = false; // until another hint
-      });
+      added.catch((error: unknown) => this.report(asViewerError(error)));
     }
   }
 
@@ -239,6 +252,9 @@ export class SnergViewerElement extends HTMLElement {
     const poster = this.find<HTMLImageElement>("poster");
     poster.src = address;
     poster.hidden = false;
+    poster.onerror = () => {
+      poster.hidden = true;
+    };
     this.find("loading").classList.add("beside");
   }
 
@@ -247,6 +263,7 @@ export class SnergViewerElement extends HTMLElement {
     const origin = event.composedPath()[0];
     const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    if (origin !== this.viewer?.canvas && !this.shortcuts?.allows(event)) return;
     const onButton = origin instanceof HTMLElement && origin.matches("button");
     if (this.pathBar?.press(event.key, onButton)) return event.preventDefault();
     const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form

@@ -44,6 +44,7 @@ export interface ViewerEvents {
   view: ViewerState;
   path: PathState; // somebody plays, stops or moves along the camera path
   error: ViewerError;
+  missing: ViewerError; // of an optional file, which is missing or damaged: the scene is shown without it
   mode: Mode;
   said: string; // something that the page should say in words, as the speed of a flight
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
@@ -199,20 +200,28 @@ class CanvasViewer implements Viewer {
     this.cameras = cameras;
     this.bundle = { parts, units, read: (name, stop) => source.read(name, stop ?? signal) };
     this.scene = scene;
-    if (path) this.makePlayer = await readPath(source, signal);
+    const leaveOut = (error: unknown) => this.leaveOut(error);
+    if (path) this.makePlayer = await readPath(source, signal).catch(leaveOut);
     this.layers = layers;
-    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true });
+    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true }).catch(leaveOut);
     await this.fill(scene);
     this.coarse = null; // frees its texels
     await this.renderer?.settled();
     if (this.options.play && !wantsLessMotion()) this.play();
   }
 
+  /** An optional file is missing or damaged: say so, and go on without it. Throws when the viewer is closed. */
+  private leaveOut(error: unknown): null {
+    if (this.abort.signal.aborted) throw error;
+    this.emit("missing", asViewerError(error));
+    return null;
+  }
+
   /** Show the scene: first the coarse one, then one that grows. Begins again where the graphics context is lost meanwhile. */
   private async fill(scene: SnergScene): Promise<void> {
     const losses = this.losses;
     try {
-      if (this.coarse) await this.show(this.coarse);
+      if (this.coarse) await this.showCoarse(this.coarse, losses);
       const { order, seen } = this.layers ?? {};
       await this.show(scene, { coarse: this.coarse ?? undefined, wanted: this.uncovered(), order, enough: seen });
     } catch (error) {
@@ -222,6 +231,16 @@ class CanvasViewer implements Viewer {
     }
     this.whole = this.fine = true;
     this.renderer?.refine();
+  }
+
+  /** Show the coarse scene; without it one waits longer for the picture. losses: of the graphics context, when it began. */
+  private async showCoarse(coarse: SnergScene, losses: number): Promise<void> {
+    try {
+      await this.show(coarse);
+    } catch (error) {
+      if (losses !== this.losses) throw error;
+      this.coarse = this.leaveOut(error);
+    }
   }
 
   /** Show a scene in place of the one before, as soon as there is something of it on the card. */
