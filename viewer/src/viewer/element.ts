@@ -194,7 +194,6 @@ export class SnergViewerElement extends HTMLElement {
     viewer.on("notice", (text) => {
       this.find("notice").hidden = text === null;
       this.find("notice-text").textContent = text;
-      if (text) announcer.say(text);
     });
     let hiding = 0;
     const hint = (text: string) => {

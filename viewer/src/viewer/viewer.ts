@@ -260,9 +260,8 @@ class CanvasViewer implements Viewer {
   private async fit(): Promise<void> {
     const { scene, coarse, volume } = this;
     const wanted = this.tooLarge ? coarse : scene;
-    const stuck = wanted === coarse && this.source instanceof EmbeddedFiles; // files inside a page can be read once
     if (!scene || !coarse || !volume) return;
-    if (volume.source === wanted || stuck) return this.notify(volume.source === coarse ? this.tooLarge : null);
+    if (volume.source === wanted) return this.notify(this.tooLarge);
     this.whole = this.fine = false;
     this.follow();
     await this.fill(scene);
