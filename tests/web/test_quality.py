@@ -130,7 +130,7 @@ def test_edges_are_smooth_at_rest(page: Page, small: Path, serve: Serve, motion:
     assert opened(page, serve(small) + SIZE + "&ui=none#quality=full") is None
     page.evaluate("window.snerg.settled()")
     page.evaluate(FAST)
-    page.evaluate(f"{{ window.shown = []; {VIEWER}.on('image', ({{ full, samples }}) => window.shown.push([full, samples])); }}")
+    page.evaluate(f"{{ window.shown = []; {VIEWER}.on('image', ({{ full, samples }}) => window.shown.push([full, samples])); null; }}")
     page.evaluate(f"{VIEWER}.goTo({index})")
     smooth, camera = picture(page), make_cameras()[index]
     images = [march(moved(camera, *place)) for place in jitters(16)]
@@ -303,7 +303,7 @@ def test_the_artist_chooses(page: Page, small: Path, serve: Serve) -> None:
     choice.select_option("auto")
     page.wait_for_url("**#*quality=auto*")
     preset = page.evaluate(f"{VIEWER}.quality")
-    assert choice.evaluate("list => list.selectedOptions[0].text") == f"Quality: automatic ({preset})"
+    assert choice.evaluate("list => list.selectedOptions[0].text") == f"Quality: auto ({preset})"
     page.evaluate("location.hash = 'quality=balanced'")
     page.wait_for_url("**#*quality=balanced*")
     assert choice.input_value() == "balanced"

@@ -32,6 +32,6 @@ export class QualityChoice {
     this.viewer.quality = qualityOf(text);
     this.select.value = qualityOf(text) ?? AUTOMATIC;
     const suggested = qualityOf(text) ? "" : ` (${LABELS[this.viewer.quality].toLowerCase()})`;
-    this.select.options[0].text = `Quality: automatic${suggested}`;
+    this.select.options[0].text = `Quality: auto${suggested}`;
   }
 }
