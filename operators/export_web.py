@@ -107,6 +107,8 @@ def page_arguments(settings: Any) -> list[str]:
     arguments = [] if background == "white" else [f"--background={background}"]
     if settings.page_mode != "orbit":
         arguments += ["--move", settings.page_mode]
+    if settings.page_quality != "auto":
+        arguments += ["--preset", settings.page_quality]
     for option, text in (
         ("--title", settings.page_title),
         ("--description", settings.page_description),

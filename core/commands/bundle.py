@@ -15,7 +15,7 @@ from ..errors import SnergError
 from ..export.annotations import read_annotations, with_known_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUND_NAMES, MODES, PLAIN, THUMBNAILS, PageSettings, is_background
+from ..export.page_settings import AUTOMATIC, BACKGROUND_NAMES, MODES, PLAIN, QUALITIES, THUMBNAILS, PageSettings, is_background
 from ..export.scene_files import codec_of, is_current
 from ..export.thumbnails import SECONDS
 from ..export.world_units import SYSTEMS, WorldUnits
@@ -109,6 +109,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--move", choices=MODES, default="orbit", help="how people move at first: fly and walk suit scenes seen from inside"
     )
+    parser.add_argument(
+        "--preset", choices=QUALITIES, default=AUTOMATIC, help="how fine the page's picture is, and how much graphics memory it takes"
+    )
     pair: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MIN", "MAX")}
     parser.add_argument("--orbit-distance", **pair, help="how near and far people may orbit, in units of the scene")
     parser.add_argument("--orbit-elevation", **pair, help="how low and high people may orbit, in degrees above the horizon")
@@ -130,6 +133,7 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
         elevation,
         picture,
         options.move,
+        quality=options.preset,
         play=options.play,
         thumbnails=options.thumbnails,
         measures=options.measure,

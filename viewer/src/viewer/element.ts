@@ -8,6 +8,8 @@ import { colourOf } from "./backdrop";
 import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
 import { MODES } from "./navigation";
+import { qualityOf } from "./quality";
+import { QualityChoice } from "./quality_choice";
 import { Shortcuts } from "./shortcuts";
 import style from "./style.css";
 import template from "./template.html";
@@ -28,6 +30,7 @@ const FLIGHT = 1.2; // seconds to the camera of an annotation
  *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
  *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
  *   play        where there, the camera path plays as soon as the scene is there, but not for people who asked for less motion
+ *   quality     phone, balanced or full: how fine the picture is, and how much memory the scene may take; without it, what suits the device
  *   ui          "none": without the bar
  *   width, height  of the picture in CSS pixels; else it fills the element
  *
@@ -151,6 +154,7 @@ export class SnergViewerElement extends HTMLElement {
       background: colourOf(background) ?? (backdrop ? [0, 0, 0, 0] : [1, 1, 1, 1]),
       size,
       play: this.hasAttribute("play"),
+      quality: qualityOf(this.getAttribute("quality")),
       covered: () => !this.find("poster").hidden,
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
@@ -163,6 +167,8 @@ export class SnergViewerElement extends HTMLElement {
     this.backgrounds = new Backgrounds(stage, this.root, viewer, backdrop, () => this.dispatchEvent(new CustomEvent("view")));
     const { backgrounds } = this;
     backgrounds.show(background);
+    const quality = new QualityChoice(this.find("quality"), viewer, () => this.dispatchEvent(new CustomEvent("view")));
+    quality.show(this.getAttribute("quality"));
     if (backdrop) {
       backdrop.onerror = () => {
         announcer.say("The background picture did not arrive.");
@@ -186,7 +192,7 @@ export class SnergViewerElement extends HTMLElement {
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
       if (this.bar || this.problem) return;
-      this.bar = new Bar(this.root, viewer, backgrounds, (index, duration) => this.choose(index, duration));
+      this.bar = new Bar(this.root, viewer, backgrounds, quality, (index, duration) => this.choose(index, duration));
       viewer.mode = MODES.find((mode) => mode === this.getAttribute("mode")) ?? "orbit";
       this.find("bar").hidden = this.getAttribute("ui") === "none";
       void this.addPathBar(viewer);
@@ -196,6 +202,14 @@ export class SnergViewerElement extends HTMLElement {
     viewer.on("view", () => {
       this.bar?.showFrame();
       this.dispatchEvent(new CustomEvent("view"));
+    });
+    this.find("close-notice").onclick = () => {
+      this.find("notice").hidden = true;
+      viewer.canvas.focus();
+    };
+    viewer.on("notice", (text) => {
+      this.find("notice").hidden = text === null;
+      this.find("notice-text").textContent = text;
     });
     let hiding = 0;
     const hint = (text: string) => {

@@ -18,7 +18,7 @@ import {
 } from "three";
 import { CELL_VOXELS, type SceneDescription } from "../data/scene";
 import { LAYER_SLICES, SLICE_PLANES, type SliceTexels } from "../data/slices";
-import { ViewerError } from "../errors";
+import { TooLarge } from "../errors";
 import { type AtlasLayout, atlasLayout, cellPosition } from "./atlas_layout";
 import { chebyshevDistance } from "./distance";
 
@@ -37,7 +37,7 @@ export interface AtlasTextures {
   indirection: Data3DTexture;
 }
 
-/** The textures of a scene. The constructor throws a ViewerError when this device cannot hold them. */
+/** The textures of a scene. The constructor throws TooLarge when this device cannot hold them. */
 export class Atlas {
   readonly kinds: Kind[];
   readonly layout: AtlasLayout;
@@ -45,6 +45,7 @@ export class Atlas {
   readonly bytes: number; // of graphics memory that the pages take
   strayFeatures = false; // whether a voxel of alpha 0 has features, as none does that was baked here
   private readonly pages: Record<Kind, Data3DTexture[]>;
+  private readonly allocated: Data3DTexture[] = []; // the pages
   private made: Data3DTexture[] = []; // by `textures`
   private distances: Data3DTexture[] = [];
   private occupied: Uint8Array; // 1 where a coarse voxel is not empty, cell by cell, x fastest
@@ -61,7 +62,7 @@ export class Atlas {
     const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS) - 2; // one is for the indirection grid, one for the depth of other objects
     if (Math.max(...scene.blocks) > textureLimit) {
       const blocks = scene.blocks.join(" x ");
-      throw new ViewerError(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
+      throw new TooLarge(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
     }
     this.layout = atlasLayout(scene.cells, textureLimit, Math.floor(units / (this.kinds.length + 1)));
     this.size = this.layout.blocks.map((n) => n * CELL_VOXELS) as Triple;
@@ -70,7 +71,12 @@ export class Atlas {
     this.taken = new Uint8Array(scene.atlas_blocks[2] * LAYER_SLICES);
     const allocate = (kind: Kind) =>
       this.kinds.includes(kind) ? Array.from({ length: this.layout.pages }, () => this.allocatePage()) : [];
-    this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
+    try {
+      this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
+    } catch (error) {
+      this.dispose(); // what there was room for
+      throw error;
+    }
   }
 
   /** The graphics memory of all textures, in bytes. */
@@ -81,19 +87,20 @@ export class Atlas {
 
   /** Free the graphics memory. */
   dispose(): void {
-    for (const texture of [...this.pages.rgba, ...this.pages.feature, ...this.made]) texture.dispose();
+    for (const texture of [...this.allocated, ...this.made]) texture.dispose();
   }
 
   /** An atlas texture in graphics memory, without a copy in main memory. */
   private allocatePage(): Data3DTexture {
     const texture = makeTexture(null, this.size, RGBAFormat, UnsignedByteType, LinearFilter);
+    this.allocated.push(texture);
     texture.source.dataReady = false;
     const gl = this.renderer.getContext();
     while (gl.getError() !== gl.NO_ERROR); // errors of earlier calls
     this.renderer.initTexture(texture);
     if (gl.getError() !== gl.NO_ERROR) {
       const mebibytes = Math.ceil(this.bytes / 2 ** 20);
-      throw new ViewerError(`The scene's texture is too large: this device's graphics memory does not hold its ${mebibytes} MiB.`);
+      throw new TooLarge(`The scene's texture is too large: this device's graphics memory does not hold its ${mebibytes} MiB.`);
     }
     return texture;
   }
