@@ -87,6 +87,9 @@ def test_around_a_point(at: np.ndarray | float) -> None:
 def test_a_rotation_has_one_quaternion() -> None:
     for turn in Rotation.random(200, random_state=5):
         assert quaternion(turn.as_matrix())[3] >= 0
+    for axis in np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0, -0.6, 0.8], [0.36, 0.48, 0.8]]):
+        half = quaternion(2 * np.outer(axis, axis) - np.eye(3))  # of half turns w is 0
+        assert abs(half[:3] @ axis) == pytest.approx(1, abs=1e-12) and abs(half[3]) < 1e-9
 
 
 @pytest.mark.hard_case(77)
