@@ -227,6 +227,14 @@ def test_fewer_keys_show_the_same_within_the_bound() -> None:
     assert len(thinned(Shot((1.0, 2.0, 3.0), (cameras[0],) * 3), np.ones((3, 2)), np.zeros(3)).frames) == 1, "what stands still has one key"
 
 
+def test_a_jolt_of_one_frame_is_kept() -> None:
+    frames = np.arange(60.0)
+    cameras = [camera(looking((0, -4, 1), (0, 0, 0)))] * 60
+    cameras[20] = replace(cameras[0], centre=(161.0, 100.0))
+    shot = thinned(Shot(tuple(frames), tuple(cameras)), np.array([[2.0, 6.0]] * 60), np.zeros(3))
+    assert shot.camera_at(20.0).centre[0] == pytest.approx(161) and abs(shot.camera_at(30.0).centre[0] - 160) < TOLERANCE
+
+
 def test_an_orthographic_cameras_scale_and_turn_are_kept() -> None:
     frames, cameras = np.arange(1.0, 41.0), []
     for u in np.linspace(0, 1, 40):
