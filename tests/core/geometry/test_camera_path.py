@@ -15,8 +15,9 @@ from scenes import looking
 from snerg.core.errors import SnergError
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
+from snerg.core.geometry.camera_state import pixel_errors, state_of
 from snerg.core.geometry.rotation import quaternion, rotation_matrix, slerp
-from snerg.core.geometry.thin_path import TOLERANCE, thinned
+from snerg.core.geometry.thin_path import TOLERANCE, looked_at, thinned
 
 FAR = np.array([1e6, -2e6, 5e5])
 
@@ -181,6 +182,109 @@ def test_noise_keeps_its_lines() -> None:
     assert all(curve is None for curve in shot.curves) and len(shot.frames) > 50
 
 
+@pytest.mark.hard_case(77)
+def test_a_rotation_has_one_quaternion() -> None:
+    for turn in Rotation.random(200, random_state=5):
+        assert quaternion(turn.as_matrix())[3] >= 0
+    for axis in np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0], [0, -0.6, 0.8], [0.36, 0.48, 0.8]]):
+        half = quaternion(2 * np.outer(axis, axis) - np.eye(3))  # of half turns w is 0
+        assert abs(half[:3] @ axis) == pytest.approx(1, abs=1e-12) and abs(half[3]) < 1e-9
+
+
+@pytest.mark.hard_case(77)
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-10, 3e-8, 1e-6, 1e-3])
+def test_small_turns_are_even(angle: float) -> None:
+    """As far as single digits of double precision allow: a slow pan does not jerk."""
+    b = np.array([math.sin(angle / 2), 0, 0, math.cos(angle / 2)])
+    parts = np.linspace(0, 1, 11)
+    found = slerp(np.array([0.0, 0, 0, 1]), b, parts)
+    assert found[:, 0] == pytest.approx(np.sin(parts * angle / 2), rel=1e-6, abs=1e-22) and np.abs(found[:, 3] - 1).max() < 1e-6
+
+
+@pytest.mark.hard_case(77)
+def test_keys_on_both_sides_of_a_pole() -> None:
+    """A camera that passes straight above the scene neither rolls nor jumps, wherever its quaternion's sign or branch changes."""
+    keys = np.arange(0.0, 361.0, 30.0)  # degrees; at 0 and 180 it looks along the vertical axis, where azimuth and Euler angles jump
+    cameras = []
+    for angle in keys:
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("x", angle, degrees=True).as_matrix()
+        pose[:3, 3] = 4 * pose[:3, 2]
+        cameras.append(camera(pose))
+    shot = Shot(tuple(keys), tuple(cameras), (4.0,) * len(keys))
+    for angle in np.arange(0.0, 360.0, 11.3):
+        truth = Rotation.from_euler("x", angle, degrees=True).as_matrix()
+        found = shot.camera_at(angle)
+        assert np.allclose(found.camera_to_world[:3, :3], truth, atol=1e-12) and np.allclose(found.position, 4 * truth[:, 2], atol=1e-11)
+
+
+@pytest.mark.hard_case(77)
+def test_clip_planes_between_keys() -> None:
+    pose = looking((0, -4, 1), (0, 0, 0))
+    shot = Shot((0.0, 2.0, 4.0), (camera(pose, far=math.inf), camera(pose, far=math.inf, near=0.3), camera(pose, far=50.0, near=0.3)))
+    assert (shot.camera_at(1.0).near, shot.camera_at(1.0).far) == (pytest.approx(0.2), math.inf)
+    assert shot.camera_at(3.0).far == pytest.approx(100) and shot.camera_at(4.0).far == 50
+
+
+def test_the_first_and_the_last_key_are_their_cameras() -> None:
+    frames = np.array([1.0, 4.0, 11.0])
+    cameras = over_the_pole(frames, FAR)
+    shot = Shot(tuple(frames), tuple(cameras))
+    assert shot.camera_at(0.0) is cameras[0] and shot.camera_at(11.0) is cameras[2]
+
+
+def test_a_moved_path_is_the_moved_cameras() -> None:
+    """Turned, scaled and shifted: between keys too."""
+    similarity = np.eye(4)
+    similarity[:3, :3] = 2.5 * Rotation.from_euler("xyz", [0.4, -1.1, 2.0]).as_matrix()
+    similarity[:3, 3] = 5, -3, 2
+    cameras = [camera(looking((4 * math.cos(a), 4 * math.sin(a), 1.0), (0, 0, 0))) for a in (0.0, 2.0)]
+    path = CameraPath((Shot((0.0, 10.0), tuple(cameras), (4.0, 4.0)),), 0, 10, 24.0)
+    for frame in (0.0, 2.5, 7.0, 10.0):
+        expected = path.camera_at(frame).moved(similarity)
+        assert np.allclose(path.moved(similarity).camera_at(frame).camera_to_world, expected.camera_to_world, atol=1e-9)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+def test_the_bound_is_what_projected_points_move(projection: str) -> None:
+    """By cameras that differ in one thing each, against their own projections of the corners, edges and middle."""
+    start = camera(looking((0.3, -4.0, 1.2), (0, 0, 0)), projection=projection, focal=(90.0, 110.0), centre=(150.0, 90.0))
+    turned, dolly, shift = (start.camera_to_world.copy() for _ in range(3))
+    turned[:3, :3] = turned[:3, :3] @ Rotation.from_euler("xyz", [0.05, 0.02, 0.1]).as_matrix()
+    dolly[:3, 3] -= 0.7 * dolly[:3, 2]
+    shift[:3, 3] += 0.2 * shift[:3, 0]
+    others = [replace(start, focal=(120.0, 100.0)), replace(start, centre=(160.0, 85.0))]
+    others += [replace(start, camera_to_world=pose) for pose in (turned, dolly, shift)]
+    flat = np.stack(np.meshgrid([0, 160, 320], [0, 100, 200]), axis=-1).reshape(-1, 2).astype(float)
+    near, far = 2.0, 8.0
+    points = []
+    for depth in (near, 4.0, far):
+        across = (flat - start.centre) / start.focal * [1, -1] * (depth if projection == "perspective" else 1)
+        local = np.concatenate([across, np.full((9, 1), -depth)], axis=-1)
+        points.append(local @ start.camera_to_world[:3, :3].T + start.position)
+    expected = [max(np.linalg.norm(o.project(p)[0] - flat, axis=-1).max() for p in points) for o in others]
+    states = np.array([state_of(start, 0.0)] * len(others)), np.array([state_of(o, 0.0) for o in others])
+    assert pixel_errors(*states, start, np.array([[near, far]] * len(others))) == pytest.approx(expected, rel=1e-9)
+    back = replace(start, camera_to_world=start.camera_to_world @ np.diag([-1.0, 1, -1, 1]))
+    clipped = replace(start, near=start.near + 0.5)
+    found = [pixel_errors(state_of(start, 0)[None], state_of(o, 0)[None], start, np.array([[near, far]]))[0] for o in (back, clipped)]
+    assert np.isinf(found[0]) == (projection == "perspective")
+    assert found[1] == pytest.approx(110.0 * 0.5 / near)
+
+
+@pytest.mark.hard_case(77)
+def test_the_point_that_cameras_look_at() -> None:
+    """Also a million units away; where all look one way there is none, and it stays near the cameras."""
+    draw, point = np.random.default_rng(1), np.array([0.3, -0.2, 0.5])
+    places = draw.normal(size=(40, 3)) * 3
+    axes = places - point
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    for at in (np.zeros(3), FAR):
+        assert np.allclose(looked_at(places + at, axes) - at, point, atol=1e-8)
+    same = np.tile([0.36, 0.48, 0.8], (40, 1)) + 1e-12 * draw.normal(size=(40, 3))
+    assert np.abs(looked_at(places, same / np.linalg.norm(same, axis=-1, keepdims=True))).max() < 20
+
+
 def test_a_cut_shows_the_other_camera_at_once() -> None:
     one, other = (camera(looking((x, -4.0, 1.0), (0, 0, 0)), name=name) for x, name in ((0.0, "A"), (3.0, "B")))
     path = CameraPath((Shot((1.0, 10.0), (one, replace(one, focal=(150.0, 150.0)))), Shot((10.0,), (other,))), 1, 20, 25.0)
@@ -223,6 +327,14 @@ def test_fewer_keys_show_the_same_within_the_bound() -> None:
     elsewhere = thinned(Shot(tuple(frames), tuple(cameras)), depths, np.array([0.3, 0.2, 0.6]))
     assert len(elsewhere.frames) <= len(shot.frames) + 1, "the point that the camera looks at is found"
     assert len(thinned(Shot((1.0, 2.0, 3.0), (cameras[0],) * 3), np.ones((3, 2)), np.zeros(3)).frames) == 1, "what stands still has one key"
+
+
+def test_a_jolt_of_one_frame_is_kept() -> None:
+    frames = np.arange(60.0)
+    cameras = [camera(looking((0, -4, 1), (0, 0, 0)))] * 60
+    cameras[20] = replace(cameras[0], centre=(161.0, 100.0))
+    shot = thinned(Shot(tuple(frames), tuple(cameras)), np.array([[2.0, 6.0]] * 60), np.zeros(3))
+    assert shot.camera_at(20.0).centre[0] == pytest.approx(161) and abs(shot.camera_at(30.0).centre[0] - 160) < TOLERANCE
 
 
 def test_an_orthographic_cameras_scale_and_turn_are_kept() -> None:
