@@ -56,6 +56,7 @@ class Trainer:
         self.state = initial_state(self.prepared, self.devices)
         self.report = StepReport(0.0, 0.0, 0, 0)  # of the last step
         self.held_out_psnr: float | None = None
+        self.trial: view_dependence_test.Trial | None = None  # while a diffuse field is on trial
         self.stopping = False  # set where the other processes of the training must stop with this one
         progress(0.0, "Compiling the training step")
         self.train_step = compiled_step(settings, self.devices, self.prepared.sampler)
@@ -73,8 +74,7 @@ class Trainer:
         began, reported, scored = time.perf_counter() - self.state.elapsed, 0.0, self.state.elapsed
         compiled = False
         while self.fraction() < 1:
-            if self.state.undecided and self.fraction() >= view_dependence_test.AT:
-                self.test_view_dependence()
+            self.test_view_dependence()
             self.advance()
             if not compiled:  # compiling, most of the first step, counts as set-up
                 compiled, began = True, time.perf_counter() - self.state.elapsed
@@ -117,12 +117,32 @@ class Trainer:
             raise SnergError(f"Training went wrong at step {first}, and {failed} times in a row: {why}.")
 
     def test_view_dependence(self) -> None:
-        """Decide between a deferred and a diffuse field, and go on as decided; see `view_dependence_test`."""
-        prepared, devices = self.prepared, self.devices
-        decision = view_dependence_test.run(self.state.step, self.field(), prepared.rays, prepared.validation_views, prepared.settings)
-        if decision.measured is not None and not devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
-            params = devices.place(view_dependence_test.silenced(devices.local(self.state.params)))
-            self.state = replace(self.state, params=params)
+        """Decide between a deferred and a diffuse field when it is time, and go on as decided; see `view_dependence_test`."""
+        if not self.state.undecided or self.fraction() < view_dependence_test.AT:
+            return
+        if self.trial is not None:
+            return self._end_trial(self.trial) if self.fraction() >= self.trial.ends else None
+        if self.state.step < view_dependence_test.LEAST:
+            return self.decide(view_dependence_test.too_short())
+        prepared, checkpoint = self.prepared, self.checkpoint()
+        rays = view_dependence_test.tested_rays(prepared.rays, prepared.validation_views, prepared.settings)
+        decision, before = view_dependence_test.run(checkpoint[0], rays, prepared.validation_views), float(self.errors(rays).mean())
+        if self.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
+            return self.decide(decision)
+        self.state = replace(self.state, params=self.devices.place(view_dependence_test.silenced(self.devices.local(self.state.params))))
+        if view_dependence_test.TRIAL * self.state.step / self.fraction() < view_dependence_test.RECOVERY:
+            return self.decide(decision)
+        ends = self.fraction() + view_dependence_test.TRIAL
+        self.trial = view_dependence_test.Trial(ends, rays, before, decision, checkpoint)
+
+    def _end_trial(self, trial: view_dependence_test.Trial) -> None:
+        """Keep the diffuse field, or go back to the deferred one, at the present time of the training."""
+        decision = trial.judged(float(self.errors(trial.rays).mean()))
+        self.trial = None
+        if self.devices.shared(decision.chosen == "deferred"):
+            now = self.state
+            self.restore(trial.checkpoint[1])
+            self.state = replace(self.state, step=now.step, elapsed=now.elapsed)
         self.decide(decision)
 
     def decide(self, decision: Decision) -> None:
@@ -148,8 +168,8 @@ class Trainer:
         return state_arrays(self.state, self.devices) | {"random": random} | sampler
 
     def checkpoint(self) -> tuple[Field, dict[str, NDArray[Any]]]:
-        """The field, and the named arrays of any shape to continue from."""
-        return self.field(), self.arrays()
+        """The field, and the named arrays of any shape to continue from. While a diffuse field is on trial, those from before it."""
+        return (self.field(), self.arrays()) if self.trial is None else self.trial.checkpoint
 
     def restore(self, arrays: dict[str, NDArray[Any]], decisions: list[dict[str, Any]] | None = None) -> None:
         """Continue from `arrays` (of any shape), and from the decisions in the field's `about`.
