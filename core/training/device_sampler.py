@@ -22,7 +22,7 @@ from .config import TrainSettings
 from .losses import backgrounds
 from .occupancy_sampler import MARGIN, OccupancySampler, batch_loss, filled
 from .parallel import longest_ray
-from .sampler import Batch
+from .sampler import Batch, BatchLoss, of_any_length
 from .termination_depth import DARK
 
 CANDIDATES = 32  # steps of rays, before those in empty cells are left out, for which there is room, for each sample of a batch
@@ -94,6 +94,38 @@ class DrawnSteps(NamedTuple):
     length: float  # spacing of the samples
 
 
+def room_for_candidates(settings: TrainSettings) -> int:
+    """Places for the steps of a batch's rays, of which those in occupied cells become samples."""
+    return max(CANDIDATES * settings.samples, longest_ray(settings))
+
+
+def packing_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """`batch_loss` of one step's rays, whose samples are packed first.
+
+    aux: "error"; "samples", "rays": how many are packed; "found" [R]: a ray's samples in occupied cells; "used" bool [R]: whether they
+    are packed; "end" [R]: where the ray terminated, infinite where it did not.
+    """
+    origins, along, start, steps = (batch[name] for name in ("origins", "along", "start", "steps"))
+    room = room_for_candidates(settings)
+    packed = pack_on_device(batch["occupied"], origins, along, start, steps, batch["length"], settings.samples, room)
+    inputs = field_inputs(jnp, settings.family, packed.points)
+    used, count = packed.kept > 0, packed.kept.sum()
+    arrays = {
+        "inputs": jax.lax.optimization_barrier(inputs),  # or XLA repeats it for every feature
+        "ray": packed.ray,
+        "valid": packed.valid,
+        "used": used,
+        "count": jnp.maximum(count, 1).astype(jnp.float32),
+        "rays": jnp.maximum(used.sum(), 1).astype(jnp.float32),
+    }
+    kept = ("directions", "target", "cut", "length", "background", "diffuse", "noise")
+    loss, aux = batch_loss(settings, has_alpha, params, arrays | {name: batch[name] for name in kept if name in batch})
+    last = jnp.cumsum(packed.kept) - packed.kept + aux["lit_samples"].astype(jnp.int32).clip(1) - 1
+    end = jnp.where(aux["depth"] > -math.log(DARK), packed.distance[last], jnp.inf)
+    told = {"error": aux["error"], "samples": count, "rays": used.sum(), "found": packed.found, "used": used, "end": end}
+    return loss, told
+
+
 class DeviceSampler(OccupancySampler):
     """An `OccupancySampler` whose loss packs the samples, and which draws the rays of several steps at once.
 
@@ -105,7 +137,8 @@ class DeviceSampler(OccupancySampler):
     def __init__(self, *of: Any) -> None:
         """As `OccupancySampler`."""
         super().__init__(*of)
-        self.candidates = max(CANDIDATES * self.settings.samples, longest_ray(self.settings))
+        self.loss = BatchLoss(packing_loss, of_any_length(self.settings), self.ray_dataset.alpha)
+        self.candidates = room_for_candidates(self.settings)
         self.overflow = np.zeros(2, np.int64)
 
     def batch(self, params: Any, fraction: float) -> Batch:
@@ -151,30 +184,6 @@ class DeviceSampler(OccupancySampler):
             "target": self.ray_dataset.pixels[index],
         }
         return arrays if self.ray_dataset.diffuse is None else arrays | {"diffuse": self.ray_dataset.diffuse[index]}
-
-    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        """`batch_loss` of one step's rays. aux: "error"; "samples", "rays": how many are packed; "found" [R]: a ray's samples in occupied
-        cells; "used" bool [R]: whether they are packed; "end" [R]: where the ray terminated, infinite where it did not."""
-        origins, along, start, steps = (batch[name] for name in ("origins", "along", "start", "steps"))
-        size, candidates = self.settings.samples, self.candidates
-        packed = pack_on_device(batch["occupied"], origins, along, start, steps, batch["length"], size, candidates)
-        inputs = field_inputs(jnp, self.settings.family, packed.points)
-        used, count = packed.kept > 0, packed.kept.sum()
-        arrays = {
-            "inputs": jax.lax.optimization_barrier(inputs),  # or XLA repeats it for every feature
-            "ray": packed.ray,
-            "valid": packed.valid,
-            "used": used,
-            "count": jnp.maximum(count, 1).astype(jnp.float32),
-            "rays": jnp.maximum(used.sum(), 1).astype(jnp.float32),
-        }
-        kept = ("directions", "target", "cut", "length", "background", "diffuse", "noise")
-        arrays |= {name: batch[name] for name in kept if name in batch}
-        loss, aux = batch_loss(self.settings, self.ray_dataset.alpha, params, arrays)
-        last = jnp.cumsum(packed.kept) - packed.kept + aux["lit_samples"].astype(jnp.int32).clip(1) - 1
-        end = jnp.where(aux["depth"] > -math.log(DARK), packed.distance[last], jnp.inf)
-        told = {"error": aux["error"], "samples": count, "rays": used.sum(), "found": packed.found, "used": used, "end": end}
-        return loss, told
 
     def learn(self, params: Any, step: int, aux: dict[str, Any]) -> None:
         """Update the termination depths and the estimate of samples a ray from every step of the last dispatch, which ended with `step`;

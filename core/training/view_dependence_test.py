@@ -51,7 +51,7 @@ class Trial:
     rays: ValidationRays  # that judge it
     before: float  # their mean squared error with the deferred field
     found: Decision  # of the test
-    checkpoint: tuple[Field, dict[str, NDArray[Any]]]  # the training before it, which is what a save during the trial writes
+    checkpoint: tuple[Field, dict[str, NDArray[Any]]]  # the training before it, arrays of any shape; a save writes it
 
     def judged(self, after: float) -> Decision:
         """The decision, from the mean squared error of the same rays after the trial."""
