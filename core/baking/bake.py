@@ -27,7 +27,7 @@ from .memory import check_memory
 from .occupied_voxels import find_occupied_voxels
 from .opacity_correction import opacity_correction_errors
 from .prefilter import Quantiser, fill_atlas
-from .resume import ResumeCache
+from .resume import ResumeCache, arrays_match
 from .supersampling import choose_supersampling
 from .thin_fog import MAX_GRAIN, fog_grain
 from .timing import StageTimer, TimeLeft
@@ -113,7 +113,7 @@ def bake(
     supersampling, evidence = settings.supersampling, None
     if supersampling == AUTO_SUPERSAMPLING:
         supersampling, evidence = choose_supersampling(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
-    grain = fog_grain(field, voxel_grid, culled.mask, culled.indirection, settings.seed) if settings.quantise else 0.0
+    grain = _grain(field, voxel_grid, culled, settings, cache) if settings.quantise else 0.0
     thin_fog = grain > MAX_GRAIN
     if thin_fog:
         progress(
@@ -132,6 +132,17 @@ def bake(
     timer.lap("holes")
     tell(1.0, "Baking")
     return scene
+
+
+def _grain(field: Field, voxel_grid: VoxelGrid, culled: _Culled, settings: BakeSettings, cache: ResumeCache) -> float:
+    """`fog_grain` of what is kept, or what a killed bake found."""
+    for _, arrays in cache.read("grain"):
+        if arrays_match(arrays, {"grain": ((1,), np.floating)}):
+            return float(arrays["grain"][0])
+    grain = fog_grain(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
+    cache.add("grain", 0, {"grain": np.array([grain])})
+    cache.flush()
+    return grain
 
 
 def channels_of(field: Field, settings: BakeSettings) -> int:

@@ -145,8 +145,8 @@ def test_single_key_shortcuts_can_be_kept_to_the_picture(page: Page, made: Path,
         for key in ("3", "v", "n", "-", "c"):
             page.keyboard.press(key)
         assert (state()["camera"], state()["mode"], state()["atCamera"]) == ("Shifted, rolled", "orbit", True)
-    page.locator("#help").press("ArrowUp")
-    assert state()["atCamera"] is False, "an arrow is no character"
+    page.locator("#help").press("ArrowUp")  # is no character; the view follows with the next frame
+    page.wait_for_function("!document.querySelector('snerg-viewer').viewer.state.atCamera")
     page.locator("#canvas").press("1")
     assert state()["camera"] == "Front"
     page.reload()

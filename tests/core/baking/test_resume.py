@@ -128,7 +128,7 @@ def test_parts_of_the_wrong_shape_are_done_again(tmp_path):
     whole, folder = bake(asked(), BOX, CAMERAS, SETTINGS), tmp_path / "kept"
     bake(asked(), BOX, CAMERAS, SETTINGS, resume=folder)
     edited = [path for path in folder.iterdir() if path.suffix == ".npz"]
-    assert {path.name.split("-")[1] for path in edited} == {"occupancy", "visibility", "prefilter"}
+    assert {path.name.split("-")[1] for path in edited} == {"occupancy", "visibility", "grain", "prefilter"}
     for path in edited:
         arrays = dict(np.load(path))
         np.savez(path, **{name: array[:-1] for name, array in arrays.items()})

@@ -93,7 +93,7 @@ def test_a_packet_stays_in_empty_bricks() -> None:
     """The box around the rays of a packet touches no brick that holds something up to the distance that it may skip."""
     draw = np.random.default_rng(7)
     occupied = draw.random((14, 9, 11)) < 0.02
-    nothing = np.zeros(1, np.uint32), 4, 255.0, np.zeros(1, np.int64)
+    nothing = np.zeros(1, np.uint32), 4, 255.0, False, np.zeros(1, np.int64)
     distance = chebyshev_distance(occupied, 255).reshape(-1)
     acceleration = Acceleration(*nothing, distance, (14, 9, 11), np.zeros(1, np.uint8))
     centre = draw.uniform(0, 6 * np.array(occupied.shape), (400, 3)).T.astype(np.float32)
@@ -125,7 +125,7 @@ def sparse_grid(draw: np.random.Generator, shape: tuple[int, int, int], blocks: 
 @pytest.mark.parametrize("bricks", [(205, 205, 205), (256, 256, 256), (257, 300, 280), (11, 9, 500_000)])
 def test_bricks_are_numbered_past_what_single_precision_counts(bricks: tuple[int, int, int]) -> None:
     """At 2^24 bricks float32 counts in twos: the number of one brick would be that of its neighbour."""
-    nothing = np.zeros(1, np.uint32), 4, 255.0, np.zeros(1, np.int64), np.zeros(1, np.uint8), bricks, np.zeros(1, np.uint8)
+    nothing = np.zeros(1, np.uint32), 4, 255.0, False, np.zeros(1, np.int64), np.zeros(1, np.uint8), bricks, np.zeros(1, np.uint8)
     queue = RayQueue(lambda chunk: None, [], 1)
     marcher = RayMarcher(Acceleration(*nothing), queue, MarchOutput(np.zeros((0, 4)), np.zeros(0)), 1, 0.0)
     draw = np.random.default_rng(0)
