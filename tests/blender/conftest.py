@@ -53,5 +53,7 @@ def scene(addon: None, tmp_path: Path) -> Any:
     scene.cycles.samples, scene.cycles.use_denoising = 1, False
     render.resolution_x, render.resolution_y, render.resolution_percentage = 32, 24, 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    render.use_border = render.use_crop_to_border = False
+    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
     render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGBA"
     return scene
