@@ -57,21 +57,17 @@ function texelLookup(kind: string, pages: number): string {
   return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 texel)`, read);
 }
 
-/** distanceAt: how many coarse voxels from a coarse voxel to the nearest of its cell that is not empty; 0 if it is not empty. */
+/** distanceAt: how many stencils from a stencil, named by its lowest texel, to the nearest of its cell that is not empty; 0 if it is not. */
 function distanceLookup(pages: number): string {
-  return pageLookup(
-    "distance",
-    pages,
-    "float distanceAt(int page, ivec3 coarse)",
-    (name: string) => `texelFetch(${name}, coarse, 0).r * 255.0`,
-  );
+  const read = (name: string) => `float(texelFetch(${name}, stencil, 0).r)`;
+  return pageLookup("distance", pages, "float distanceAt(int page, ivec3 stencil)", read, "usampler3D");
 }
 
 /** A function that reads the texture of a page. GLSL cannot index samplers by a variable, so that it compares page numbers. */
-function pageLookup(kind: string, pages: number, signature: string, read: (name: string) => string): string {
+function pageLookup(kind: string, pages: number, signature: string, read: (name: string) => string, sampler = "sampler3D"): string {
   const names = Array.from({ length: pages }, (_, page) => `${kind}_${page}`);
   const lines = names.map((name, page) => `  ${page < pages - 1 ? `if (page == ${page}) ` : ""}return ${read(name)};`);
-  return [...names.map((name) => `uniform sampler3D ${name};`), `${signature} {`, ...lines, "}", ""].join("\n");
+  return [...names.map((name) => `uniform ${sampler} ${name};`), `${signature} {`, ...lines, "}", ""].join("\n");
 }
 
 /**

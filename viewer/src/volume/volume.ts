@@ -172,10 +172,8 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       const layer = Math.floor(slice / LAYER_SLICES);
       if (--missing[layer] > 0) return;
       this.layersArrived++;
-      if (filled) {
-        atlas.arrived(layer);
-        this.send({ type: "change" });
-      } else if (this.layersArrived === enough) fill();
+      if (filled) this.send({ type: "change" });
+      else if (this.layersArrived === enough) fill();
     };
     await this.source.readSlices(take, { signal, order });
     await filled;
@@ -228,7 +226,6 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       uniforms.sceneDepth.value = drawn;
     }
     uniforms.gridShape.value.set(...this.source.description.shape);
-    uniforms.featuresAbove.value = this.atlas?.strayFeatures ? -1 : 0;
     const view = viewUniforms(
       this.source.description,
       standing,
@@ -331,7 +328,6 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     gridShape: { value: new Vector3(...scene.shape) },
     gridBlocks: { value: new Vector3(...scene.blocks) },
     linearOutput: { value: false },
-    featuresAbove: { value: 0 },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
     logDepth: { value: new Vector2() },
