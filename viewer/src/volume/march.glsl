@@ -63,10 +63,8 @@ float viewFromBuffer(float value) {
 }
 #endif
 
-// Distance from `origin`, which lies in the box from `low` to `high`, along the ray to where it leaves the box.
-float exitDistance(vec3 origin, vec3 inverseDirection, vec3 low, vec3 high) {
-  vec3 far = (mix(low, high, greaterThan(inverseDirection, vec3(0.0))) - origin) * inverseDirection;
-  return min(far.x, min(far.y, far.z));
+float least(vec3 values) {
+  return min(values.x, min(values.y, values.z));
 }
 
 // The first sample at or behind a distance from the ray's entry: its own distance.
@@ -101,8 +99,8 @@ void main() {
 
   vec3 low = min(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
   vec3 high = max(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
-  float entryDistance = max(max(low.x, max(low.y, low.z)), near);
-  float endDistance = min(far, min(high.x, min(high.y, high.z)));
+  float entryDistance = max(-least(-low), near);
+  float endDistance = min(far, least(high));
 
   vec3 rgb = vec3(0.0);
   vec4 features = vec4(0.0);
@@ -110,44 +108,49 @@ void main() {
   vec3 entry = origin + direction * entryDistance;
   float end = endDistance - entryDistance;
   float t = 0.5; // of the sample: voxels from the entry
-  float blockEnd = 0.0; // the first sample behind the macroblock
+  float blockEnd = 0.0; // where the macroblock ends: no sample before it lies outside
   int page = 0;
   vec3 atlasEntry = vec3(0.0); // the entry in the macroblock's cell: texels of the page, half a texel down, which numbers stencils
-  float stencilSteps = min(abs(inverseDirection.x), min(abs(inverseDirection.y), abs(inverseDirection.z))); // to cross a stencil, at least
+  float stencilSteps = least(abs(inverseDirection)); // to cross a stencil, at least
+  vec3 side = sign(inverseDirection); // of a box, at which the ray leaves it: -1 or 1
+  vec3 ahead = max(side, 0.0);
 #if SCENE_DEPTH || PICKING
   float halfway = -1.0; // the sample at which half of the light is gone
 #endif
-  bool maybeEmpty = true;
-  do {
-    do {
+  bool maybeEmpty = true; // whether the stencil at t may be empty
+  do { // the loops end with conditions, because a software rasteriser runs the body of any loop at least once
+    do { // look for a macroblock that is not empty
       if (t >= blockEnd) {
         // Clamp: rounding may put a sample on the grid's outer face into a block outside.
         vec3 block = clamp(floor((entry + t * direction) * (1.0 / DATA_VOXELS)), vec3(0.0), gridBlocks - 1.0);
         int cell = texelFetch(indirection, ivec3(block), 0).r;
         vec3 radius = vec3(max(-cell - 1, 0)); // an empty macroblock holds minus the distance in blocks to the nearest that is not
-        float exit = exitDistance(entry, inverseDirection, (block - radius) * DATA_VOXELS, (block + 1.0 + radius) * DATA_VOXELS);
-        float next = max(t + 1.0, firstSampleFrom(exit));
-        maybeEmpty = true;
+        vec3 exits = ((block + ahead + side * radius) * DATA_VOXELS - entry) * inverseDirection;
+        float next = max(t + 1.0, firstSampleFrom(least(exits)));
         if (cell < 0) {
           t = next;
         } else {
-          blockEnd = next;
+          blockEnd = min(next, end);
           page = cell >> 24;
           atlasEntry = entry + vec3(cell & 255, cell >> 8 & 255, cell >> 16 & 255) * CELL_VOXELS + 0.5 - block * DATA_VOXELS;
+          maybeEmpty = true;
         }
       }
-      if (maybeEmpty && t < min(blockEnd, end)) {
+    } while (t >= blockEnd && t < end);
+    do { // in it, look for a stencil that is not empty
+      if (maybeEmpty && t < blockEnd) {
         float distance = distanceAt(page, ivec3(atlasEntry + t * direction));
         maybeEmpty = distance > 0.0;
+        // All stencils less than the distance away along every axis are empty; distances hold within the macroblock only.
         if (maybeEmpty) t = min(t + floor((distance - 1.0) * stencilSteps) + 1.0, blockEnd);
       }
-    } while (maybeEmpty && t < end);
-    if (t < end) {
-      vec3 texel = atlasEntry + t * direction + 0.5;
-      vec4 rgba = rgbaAt(page, texel);
+    } while (maybeEmpty && t < blockEnd);
+    if (t < blockEnd) {
+      vec3 place = (atlasEntry + t * direction + 0.5) * texelSize;
+      vec4 rgba = rgbaAt(page, place);
       rgb += transmittance * rgba.rgb;
 #if VIEW_DEPENDENCE
-      features += transmittance * featureAt(page, texel);
+      features += transmittance * featureAt(page, place);
 #endif
       transmittance *= 1.0 - rgba.a;
 #if SCENE_DEPTH || PICKING

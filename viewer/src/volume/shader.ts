@@ -51,10 +51,10 @@ function ndcFunction(scene: SceneDescription, focal: readonly number[]): string 
   });
 }
 
-/** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texels of an atlas page. */
+/** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texture coordinates of an atlas page. */
 function texelLookup(kind: string, pages: number): string {
-  const read = (name: string) => `textureLod(${name}, texel * texelSize, 0.0)`;
-  return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 texel)`, read);
+  const read = (name: string) => `textureLod(${name}, place, 0.0)`;
+  return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 place)`, read);
 }
 
 /** distanceAt: how many stencils from a stencil, named by its lowest texel, to the nearest of its cell that is not empty; 0 if it is not. */
