@@ -86,11 +86,15 @@ hard-cases: $(VENV)/.installed
 	$(PY) tools/hard_cases.py
 
 # A file of tests stays in one process, because its tests share what it makes. Blender goes first: it crashes where a browser was driven before.
+PYTEST = $(PY) -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
+
+# TESTS="FILE ...": only those.
+TESTS ?= $(if $(BPY),tests/blender)
 test: setup
-	$(PY) -m pytest --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder $(if $(BPY),tests/blender)
+	$(PYTEST) $(TESTS)
 
 test-slow: setup
-	$(PY) -m pytest -m slow || [ $$? -eq 5 ] # 5: there are none
+	$(PYTEST) -m slow || [ $$? -eq 5 ] # 5: there are none
 
 # BLENDER=/path/to/blender: a full one, of 4.5 or newer, whose Python has JAX, Pillow and msgpack. Pictures: build/window.
 test-blender: setup

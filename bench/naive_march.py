@@ -39,5 +39,5 @@ def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
     for corner in np.ndindex(2, 2, 2):
         weight = np.where(np.array(corner) > 0, fraction, 1 - fraction).prod(axis=-1) * (cell >= 0)
         x, y, z = (base + np.array(corner)).T
-        result += weight[:, None].astype(np.float32) * scene.cells[cell, x, y, z]
+        result += weight[:, None].astype(np.float32) * scene.linear(scene.cells[cell, x, y, z])
     return result / np.float32(scene.unit)

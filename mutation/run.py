@@ -42,7 +42,7 @@ BUILD = ROOT / "build" / "mutation"
 KILLED = 0.95  # of the mutations, at least
 PATIENCE = 60.0, 8.0  # seconds, and times as long as the tests take without a mutation: then a run hangs
 PRELOADED = ("numpy", "scipy.optimize", "PIL.Image", "msgpack", "pytest", "jax", "jax.numpy", "optax")
-COMPILED = {"JAX_COMPILATION_CACHE_DIR": str(BUILD / "compiled"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
+COMPILED = {"JAX_COMPILATION_CACHE_DIR": str(ROOT / "build" / "compiled"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.1"}
 Finish = Callable[[int, float], None]
 SITE = """import importlib.util, sys
 class Finder:

@@ -10,9 +10,11 @@ import sys
 import bpy
 
 from ..core.errors import SnergError
+from ..core.geometry.camera_path import CameraPath
 from ..snerg_addon.project import Project, project_of
 from .bake import baking_arguments
-from .export_web import web_arguments
+from .camera_move_operator import CameraMoveOperator
+from .export_web import takes_move, web_arguments
 from .study import study_arguments
 from .train import training_arguments
 
@@ -20,7 +22,7 @@ STEPS = ("dataset", "field", "bake", "preview", "study", "export")
 RENDER_DATASET = "import bpy; bpy.ops.snerg.render_dataset()"
 
 
-class SNERG_OT_copy_command(bpy.types.Operator):
+class SNERG_OT_copy_command(CameraMoveOperator, bpy.types.Operator):
     """Copy the line that does this step in a terminal, with the settings as they are now"""
 
     bl_idname = "snerg.copy_command"
@@ -29,10 +31,14 @@ class SNERG_OT_copy_command(bpy.types.Operator):
 
     step: bpy.props.EnumProperty(name="Step", items=[(step, step.title(), f"The step {step.title()}") for step in STEPS])
 
+    def needs_move(self, context: bpy.types.Context) -> bool:
+        """Whether the line is for a page that is to play an animated camera."""
+        return self.step == "export" and takes_move(context.scene)
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Put the line into the clipboard."""
         try:
-            line = command_of(self.step, context, project_of(context.scene))
+            line = command_of(self.step, context, project_of(context.scene), self._move)
         except SnergError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -41,8 +47,11 @@ class SNERG_OT_copy_command(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def command_of(step: str, context: bpy.types.Context, project: Project) -> list[str]:
-    """The program and arguments of a step. Raises SnergError where the step cannot be run from a terminal yet."""
+def command_of(step: str, context: bpy.types.Context, project: Project, move: CameraPath | None = None) -> list[str]:
+    """The program and arguments of a step. move: see `web_arguments`.
+
+    Raises SnergError where the step cannot be run from a terminal yet.
+    """
     blender = bpy.app.binary_path or "blender"
     if step in ("dataset", "preview"):
         if not bpy.data.filepath or bpy.data.is_dirty:
@@ -55,7 +64,7 @@ def command_of(step: str, context: bpy.types.Context, project: Project) -> list[
         "field": lambda: training_arguments(context.scene, project, project.next_version("field")),
         "bake": lambda: ["bake", str(project.field), "--out", str(project.next_version("scene")), *baking_arguments(context, project)],
         "study": lambda: study_arguments(context, project),
-        "export": lambda: web_arguments(context, project),
+        "export": lambda: web_arguments(context, project, move),
     }[step]
     needed = {"field": "dataset", "bake": "field", "study": "field", "export": "scene"}[step]
     if not project.has(needed):

@@ -11,7 +11,7 @@ from ..core.data.readers.camera_files import write_transforms
 from ..core.errors import SnergError
 from ..core.export.annotations import annotations_json
 from ..core.export.page_settings import THUMBNAILS
-from ..core.geometry.camera_path import path_bytes
+from ..core.geometry.camera_path import CameraPath, path_bytes
 from ..core.io.files import write_bytes
 from ..core.io.json_files import json_bytes
 from ..core.jobs.runner import start_command
@@ -21,11 +21,12 @@ from ..snerg_addon.camera_move import camera_move, may_move, remember_count, sce
 from ..snerg_addon.capture import core_cameras
 from ..snerg_addon.project import Project, remember
 from ..snerg_addon.properties import LOSSY
+from .camera_move_operator import CameraMoveOperator
 from .render_dataset import scene_cameras
 from .task_operator import TaskOperator
 
 
-class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
+class SNERG_OT_export_web(CameraMoveOperator, TaskOperator, bpy.types.Operator):
     """Export a web page that shows the baked scene in a browser, with the scene's cameras as viewpoints"""
 
     bl_idname = "snerg.export_web"
@@ -34,9 +35,17 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
     step, label = "export", "Exporting the web page"
     needs = "scene"
 
+    def needs_move(self, context: bpy.types.Context) -> bool:
+        """Whether the page is to play an animated camera."""
+        return takes_move(context.scene)
+
+    def go_on(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the task."""
+        return TaskOperator.invoke(self, context, event)
+
     def start(self, context: bpy.types.Context, project: Project) -> Task:
         """The command `bundle`."""
-        return start_command(web_arguments(context, project))
+        return start_command(web_arguments(context, project, self._move))
 
     def finish(self, scene: bpy.types.Scene, project: Project, result: dict[str, Any]) -> str:
         """Record the export."""
@@ -45,8 +54,13 @@ class SNERG_OT_export_web(TaskOperator, bpy.types.Operator):
         return f"Exported the web page to {project.web}{moves}"
 
 
-def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
-    """The command line of the export. Writes the current cameras to the project."""
+def takes_move(scene: bpy.types.Scene) -> bool:
+    """Whether the page is to play an animated camera, by the panel's settings."""
+    return bool(scene.snerg.web_path and may_move(scene))
+
+
+def web_arguments(context: bpy.types.Context, project: Project, move: CameraPath | None = None) -> list[str]:
+    """The command line of the export. Writes the current cameras to the project. move: the camera's, where it is evaluated already."""
     settings = context.scene.snerg
     arguments = ["bundle", str(project.scene), "--out", str(project.web)]
     if settings.web_cameras != "ALL" or any(thing.type == "CAMERA" for thing in context.scene.objects):  # a page needs no camera
@@ -55,8 +69,8 @@ def web_arguments(context: bpy.types.Context, project: Project) -> list[str]:
         arguments += ["--cameras", str(project.cameras)]
         if settings.web_thumbnails != THUMBNAILS:
             arguments += ["--thumbnails", str(settings.web_thumbnails)]
-    if settings.web_path and may_move(context.scene):
-        path = camera_move(context.scene, scene_box(project.scene))
+    if takes_move(context.scene):
+        path = move or camera_move(context.scene, scene_box(project.scene))
         remember_count(context.scene, path)
         if path.moves:
             write_bytes(project.camera_path, path_bytes(path))
@@ -93,6 +107,8 @@ def page_arguments(settings: Any) -> list[str]:
     arguments = [] if background == "white" else [f"--background={background}"]
     if settings.page_mode != "orbit":
         arguments += ["--move", settings.page_mode]
+    if settings.page_quality != "auto":
+        arguments += ["--preset", settings.page_quality]
     for option, text in (
         ("--title", settings.page_title),
         ("--description", settings.page_description),

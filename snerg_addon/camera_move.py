@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+import time
+from collections.abc import Generator, Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import bpy
 import numpy as np
@@ -14,22 +16,34 @@ from ..core.errors import SnergError
 from ..core.export.scene_json import read_scene_json
 from ..core.geometry.box import Box
 from ..core.geometry.camera import Camera
-from ..core.geometry.camera_path import CameraPath, Shot, path_bytes, thinned
+from ..core.geometry.camera_path import CameraPath, Shot, path_bytes
+from ..core.geometry.thin_path import drained, thin_steps
 from ..core.io.guard import reading
 from ..core.units import file_size
 from .bridge import camera_from_blender
 from .render_evaluation import evaluate_frames
 from .shots import active_at
+from .simulations import unbaked
 
+T = TypeVar("T")
+SLICE_SECONDS = 0.3  # that the window waits for a part of the evaluation
 _counted: dict[int, tuple[Any, str]] = {}  # by the scene: what was counted, and for which settings
 
 
 def camera_move(scene: bpy.types.Scene, box: Box | None) -> CameraPath:
     """The path of the active camera, or of those that markers bind, from the scene's first frame to its last.
 
-    box: of the baked scene, which the path shows within camera_path.TOLERANCE of where a render would; None: everything between the
+    box: of the baked scene, which the path shows within thin_path.TOLERANCE of where a render would; None: everything between the
     camera's clip planes. Every frame is evaluated, and the frame after the last, so that a loop has no gap.
     Raises SnergError where there is no camera, or one is panoramic or cannot be used.
+    """
+    return drained(camera_move_steps(scene, box))
+
+
+def camera_move_steps(scene: bpy.types.Scene, box: Box | None, seconds: float = math.inf) -> Generator[tuple[float, str], None, CameraPath]:
+    """`camera_move` in steps, which yield how far it is, in [0, 1], and a few words. Between two of them the scene is the artist's own.
+
+    seconds: that a step takes about, where the scene itself takes no longer to evaluate, and no unbaked simulation wants all in one.
     """
     frames = range(scene.frame_start, scene.frame_end + 1)
     active = {frame: camera for frame in frames if (camera := active_at(scene, frame)) is not None}
@@ -42,12 +56,23 @@ def camera_move(scene: bpy.types.Scene, box: Box | None) -> CameraPath:
         there = [thing for thing in wanted[frame] if thing is not None]
         return {thing.name_full: camera_from_blender(thing, depsgraph.scene_eval, depsgraph) for thing in there}
 
-    found = dict(zip(wanted, evaluate_frames(scene, list(wanted), read, list(dict.fromkeys(active.values()))), strict=True))
+    if any(unbaked(scene, after)):
+        seconds = math.inf  # a simulation goes on from the frame before
+    found: list[dict[str, Camera]] = []
+    pace = seconds
+    while len(found) < len(wanted):
+        left, began = list(wanted)[len(found) :], time.monotonic()
+        found += evaluate_frames(scene, left, read, list(dict.fromkeys(active.values())), pace)
+        # Each evaluation begins with the whole scene: where that takes long, as much time for frames follows it.
+        pace = max(seconds, (time.monotonic() - began) / 2)
+        yield 0.9 * len(found) / len(wanted), f"frame {len(found)} of {len(wanted)}"
+    by_frame = dict(zip(wanted, found, strict=True))
     shots = []
     for name, run in groupby(frames, lambda frame: active[frame].name_full):
         shown = list(run)
-        keys = [(frame, found[frame][name]) for frame in [*shown, shown[-1] + 1]]
-        shots += [thin(keys[first:last], box) for first, last in same_kind([camera for _, camera in keys])]
+        keys = [(frame, by_frame[frame][name]) for frame in [*shown, shown[-1] + 1]]
+        for first, last in same_kind([camera for _, camera in keys]):
+            shots.append((yield from told(thin(keys[first:last], box), (0.95, "leaving out keys"))))
     render = scene.render
     return CameraPath(tuple(shots), scene.frame_start, scene.frame_end, render.fps / render.fps_base)
 
@@ -63,12 +88,22 @@ def same_kind(cameras: Sequence[Camera]) -> Iterator[tuple[int, int]]:
         yield first, len(cameras)
 
 
-def thin(keys: Sequence[tuple[int, Camera]], box: Box | None) -> Shot:
-    """A shot with as few keys as its tolerance allows. Raises SnergError where the camera is panoramic."""
+def told(steps: Generator[Any, None, T], said: tuple[float, str]) -> Generator[tuple[float, str], None, T]:
+    """The steps, each of which says the same."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return cast(T, end.value)
+        yield said
+
+
+def thin(keys: Sequence[tuple[int, Camera]], box: Box | None) -> Generator[None, None, Shot]:
+    """A shot with as few keys as its tolerance allows, in steps. Raises SnergError where the camera is panoramic."""
     shot = Shot(tuple(float(frame) for frame, _ in keys), tuple(camera for _, camera in keys))
     corners = None if box is None else box.corners()
     depths = np.array([depths_of(camera, corners) for camera in shot.cameras])
-    return thinned(shot, depths, shot.cameras[0].position if box is None else box.box_to_world[:3, 3])
+    return (yield from thin_steps(shot, depths, shot.cameras[0].position if box is None else box.box_to_world[:3, 3]))
 
 
 def depths_of(camera: Camera, corners: np.ndarray | None) -> tuple[float, float]:

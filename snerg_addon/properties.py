@@ -371,6 +371,17 @@ class SNERG_PG_scene(bpy.types.PropertyGroup):
         ],
         default="orbit",
     )
+    page_quality: EnumProperty(
+        name="Quality",
+        description="How fine the page's picture is at first, and how much graphics memory it takes; people can change it",
+        items=[
+            ("auto", "Automatic", "What suits the device of each person who looks at the page"),
+            ("phone", "Phone", "Few pixels, little graphics memory: a large scene is shown at a quarter of its resolution"),
+            ("balanced", "Balanced", "For tablets and laptops"),
+            ("full", "Full", "All pixels and the whole scene, with the smoothest edges"),
+        ],
+        default="auto",
+    )
     limits_orbit: BoolProperty(
         name="Limit the Orbit", description="Bound how near and far, how low and high people may orbit the scene", default=False
     )

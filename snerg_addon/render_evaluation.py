@@ -6,6 +6,8 @@ by Blender's render pipeline, with the engine of engine.py, which hands the depe
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,12 +75,19 @@ def evaluate_frames(
     frames: Sequence[int],
     read: Callable[[bpy.types.Depsgraph, int], T],
     needed: Sequence[bpy.types.Object] = (),
+    seconds: float = math.inf,
 ) -> list[T]:
-    """What `read` returns for each of some frames, in one evaluation, which redoes only what changes; else as `evaluate_render`."""
+    """What `read` returns for each of some frames, in one evaluation, which redoes only what changes; else as `evaluate_render`.
+
+    seconds: after which it stops; the rest of the frames are left out, but not the first.
+    """
 
     def read_all(depsgraph: bpy.types.Depsgraph, set_frame: SetFrame) -> list[T]:
-        found = []
+        found: list[T] = []
+        until = time.monotonic() + seconds
         for frame in frames:
+            if found and time.monotonic() > until:
+                break
             set_frame(frame, 0.0)
             found.append(read(depsgraph, frame))
         return found

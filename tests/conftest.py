@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import pickle
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,3 +49,20 @@ def data() -> Path:
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small dataset with splits train (12 views) and test (3), 40 x 40 pixels with alpha; read it, do not change it."""
     return make_dataset(tmp_path_factory.mktemp("captured") / "dataset")
+
+
+@pytest.fixture(scope="module")
+def carved_once() -> Iterator[None]:
+    """The hull of the same views is the same: trainings in this process carve it once."""
+    from snerg.core.nerf.sampling import hull
+
+    known: dict[bytes, tuple[Any, Any]] = {}
+
+    def kept(*of: Any) -> tuple[Any, Any]:
+        key = pickle.dumps(of)
+        domain, alive = known[key] if key in known else known.setdefault(key, hull(*of))
+        return domain, alive.copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("snerg.core.training.prepare.hull", kept)
+        yield

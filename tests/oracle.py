@@ -169,11 +169,15 @@ def trilinear(scene: Scene, points: np.ndarray) -> np.ndarray:
     full = np.flatnonzero(cell >= 0)
     local = points[full] - DATA_VOXELS * block[full] + 0.5
     base = np.clip(np.floor(local).astype(int), 0, CELL_VOXELS - 2)
-    fraction = local - base
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.where(np.array(corner) > 0, fraction, 1 - fraction).prod(axis=-1)
-        x, y, z = (base + np.array(corner)).T
-        result[full] += weight[:, None] * scene.cells[cell[full], x, y, z] / (255 if scene.cells.dtype == np.uint8 else 1)
+    near = (1 - (local - base), local - base)  # weights [N, 3] of the lower and of the upper voxel along each axis
+    steps = CELL_VOXELS ** np.arange(2, -1, -1)
+    voxels, first = scene.cells.reshape(-1, scene.cells.shape[-1]), cell[full] * CELL_VOXELS**3 + base @ steps
+    found = np.zeros((len(full), voxels.shape[-1]))
+    for x, y, z in np.ndindex(2, 2, 2):
+        weight = near[x][:, 0] * near[y][:, 1] * near[z][:, 2]
+        stored = voxels[first + steps @ (x, y, z)] / (255 if scene.cells.dtype == np.uint8 else 1)
+        found += weight[:, None] * (stored**2 if scene.square_roots else stored)
+    result[full] = found
     return result
 
 

@@ -114,6 +114,24 @@ def make_snerg(
     )
 
 
+def make_roots(shape: tuple[int, int, int] = (74, 65, 95), **settings: object) -> Scene:
+    """`make_snerg` in fog of alpha 2e-5 to 6e-3 that fills the rest of the box, stored as square roots."""
+    scene = make_snerg(shape, fog=False, **settings)  # type: ignore[arg-type]
+    values = np.rint(np.sqrt(255.0 * volume(shape, fog=False))).astype(np.uint8)
+    if scene.network is None:
+        values = values[..., [0, 1, 2, 7]]
+    thin = values[..., -1] == 0
+    draw = np.random.default_rng(2)
+    level = draw.integers(1, 21, shape)
+    values[thin] = draw.integers(0, 256, values.shape)[thin] % (level[thin] + 1)[:, None]
+    values[thin, -1] = level[thin]
+    rest = {
+        name: getattr(scene, name)
+        for name in ("grid_to_world", "voxel_size", "view_rotation", "near", "about", "ndc", "opacity_correction")
+    }
+    return snerg_from_volume(values, scene.network, square_roots=True, **rest)
+
+
 def empty_snerg(shape: tuple[int, int, int] = (40, 30, 20)) -> Scene:
     """A scene with nothing in it (hard case 57)."""
     pose = np.eye(4)

@@ -12,6 +12,8 @@ JAX_MODULES = {
     for name in (
         "baking.fine_tune",
         "baking.fit_voxels",
+        "training.device_sampler",
+        "training.dispatch",
         "training.hierarchical_sampler",
         "training.non_finite",
         "training.occupancy_sampler",

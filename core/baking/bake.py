@@ -18,23 +18,25 @@ from ..io.json_files import json_bytes
 from ..io.settings import check_whole, is_whole
 from ..nerf.checkpoint import flatten
 from ..nerf.field import Field
-from ..progress import Progress, silent, within
+from ..progress import Note, Progress, silent, within
 from ..scene.blocks import count_voxels, dilate, number_blocks, reindex_blocks, touched_blocks
+from ..scene.quantize import quantize, quantize_roots
 from ..scene.scene import Scene
 from ..scene.voxel_grid import MAX_RESOLUTION, VoxelGrid
 from .memory import check_memory
 from .occupied_voxels import find_occupied_voxels
 from .opacity_correction import opacity_correction_errors
-from .prefilter import fill_atlas
+from .prefilter import Quantiser, fill_atlas
 from .resume import ResumeCache
 from .supersampling import choose_supersampling
+from .thin_fog import MAX_GRAIN, fog_grain
 from .timing import StageTimer, TimeLeft
 from .visibility import VisibilityStatistics, visible_voxels
 
 AUTO_SUPERSAMPLING = 0  # BakeSettings.supersampling: measured, see supersampling.py
 MAX_SETTING_SUPERSAMPLING = 64  # points a voxel that may be asked for: bounds the time
 ACCELERATION_BYTES = 2  # bytes a voxel of the acceleration structure of the marcher
-BAKE_VERSION = 3  # part of the key of kept work; raised when the same settings bake something else
+BAKE_VERSION = 4  # part of the key of kept work; raised when the same settings bake something else
 # Settings whose names in files (scene.json, studies, kept work) are older than those here.
 FILE_NAMES = {"supersampling": "samples", "opacity_correction": "fill_holes"}
 SHARES = {"occupancy": 0.25, "visibility": 0.5, "prefilter": 0.98}  # of the progress, at the end of each stage
@@ -111,12 +113,21 @@ def bake(
     supersampling, evidence = settings.supersampling, None
     if supersampling == AUTO_SUPERSAMPLING:
         supersampling, evidence = choose_supersampling(field, voxel_grid, culled.mask, culled.indirection, settings.seed)
-    cells, indirection = _fill(field, voxel_grid, culled, supersampling, settings, cache, tell)
+    grain = fog_grain(field, voxel_grid, culled.mask, culled.indirection, settings.seed) if settings.quantise else 0.0
+    thin_fog = grain > MAX_GRAIN
+    if thin_fog:
+        progress(
+            SHARES["visibility"], Note(f"Thin fog: stored as square roots, since 8 even bits would give it {grain:.1f} levels of grain.")
+        )
+    quantiser = (quantize_roots if thin_fog else quantize) if settings.quantise else None
+    cells, indirection = _fill(field, voxel_grid, culled, supersampling, settings, quantiser, cache, tell)
     timer.lap("prefilter")
     about = _about(settings, timer, culled, supersampling, evidence, indirection)
+    if thin_fog:
+        about["thin_fog"] = {"grain": round(grain, 2)}
     network = field.network if channels_of(field, settings) == 8 else None
     grid = (voxel_grid.grid_to_world, voxel_grid.voxel_size, voxel_grid.shape)
-    scene = Scene(*grid, indirection, cells, network, about={"bake": about}, ndc=field.ndc)
+    scene = Scene(*grid, indirection, cells, network, about={"bake": about}, ndc=field.ndc, square_roots=thin_fog)
     scene = decide_opacity_correction(scene, field, cameras, settings, tell)
     timer.lap("holes")
     tell(1.0, "Baking")
@@ -177,17 +188,18 @@ def _fill(
     culled: _Culled,
     supersampling: int,
     settings: BakeSettings,
+    quantiser: Quantiser | None,
     cache: ResumeCache,
     tell: Progress,
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """`fill_atlas` of the voxels that culling left."""
     begin, end = SHARES["visibility"], SHARES["prefilter"]
-    channels, seed, quantised = channels_of(field, settings), settings.seed, settings.quantise
+    channels, seed = channels_of(field, settings), settings.seed
 
     def tell_fraction(fraction: float) -> None:
         tell(begin + (end - begin) * fraction, "Baking colour and opacity")
 
-    return fill_atlas(field, voxel_grid, culled.mask, culled.indirection, channels, supersampling, seed, quantised, cache, tell_fraction)
+    return fill_atlas(field, voxel_grid, culled.mask, culled.indirection, channels, supersampling, seed, quantiser, cache, tell_fraction)
 
 
 def _about(

@@ -45,7 +45,7 @@ def bake_field(
     decided = {"decisions": field.about.get("decisions", [])}
     scene = replace(scene, about={**scene.about, "trained": known | decided})
     seconds = {"bake": time.perf_counter() - began}
-    if half_features and settings.quantise and scene.network is not None:
+    if half_features and settings.quantise and scene.network is not None and not scene.square_roots:
         scene = replace(scene, cells=with_half_features(scene.cells))
     if dataset is not None:
         scene, finished = finish(scene, dataset, finishing, background_of(known), within(progress, share, 0.97))

@@ -45,9 +45,13 @@ def finish(
 ) -> tuple[Scene, dict[str, float]]:
     """Run the stages on the images of a dataset. background: RGB in [0, 1] over which the field was trained.
 
+    Voxels of thin fog are neither fitted nor pruned, which a note says.
     Returns the scene, with the report of each stage in `about`, and the seconds of each. Raises SnergError when an image cannot be read,
     Cancelled when `progress` does.
     """
+    if scene.square_roots and (finishing.fit or finishing.prune):
+        progress(0.0, Note("The voxels are neither fitted nor pruned: in thin fog, no single one tells in a picture."))
+        finishing = replace(finishing, fit=False, prune=0.0)
     stages, seconds, done = finishing.stages(scene.network is not None), {}, 0.0
     for name in stages:
         share = WEIGHTS[name] / sum(WEIGHTS[stage] for stage in stages)

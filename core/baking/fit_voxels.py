@@ -82,6 +82,8 @@ def fit_voxels(
     """
     if not len(scene.cells) or len(dataset.views) < 2:
         return scene, {"skipped": "there is no view to keep out" if len(scene.cells) else "the scene is empty"}
+    if scene.square_roots:
+        return scene, {"skipped": "the scene is thin fog, of which no single voxel tells in a picture"}
     began = time.perf_counter()
     training, validation = _recorded(scene, dataset, settings, within(progress, 0, MARCH_SHARE))
     if min(len(training), len(validation)) < MIN_PIXELS:

@@ -22,12 +22,13 @@ from ..scene.blocks import (
     touched_blocks,
     unpack_mask,
 )
-from ..scene.quantize import quantize
 from ..scene.voxel_grid import VoxelGrid
 from .jitter import voxel_uniform
 from .resume import Arrays, ResumeCache, arrays_match, run_parts
 from .supersampling import average_in_voxels
 
+Quantiser = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
+"""`quantize` or `quantize_roots` of scene/quantize.py."""
 VOXELS_PER_CHUNK = 2**16  # voxels evaluated together, about: a part of the work that is kept on resume
 APRONS = 0.05  # share of the progress that filling the aprons gets
 
@@ -40,13 +41,13 @@ def fill_atlas(
     channels: int,
     supersampling: int,
     seed: int,
-    quantised: bool,
+    quantiser: Quantiser | None,
     cache: ResumeCache,
     tell: Callable[[float], None],
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Bake the voxels of a mask uint32 [M, 30, 30] of the blocks of `indirection`, int32 [bx, by, bz].
 
-    channels: C, 8 or 4 (see Scene.cells). supersampling: points averaged in a voxel. quantised: uint8, otherwise float32.
+    channels: C, 8 or 4 (see Scene.cells). supersampling: points averaged in a voxel. quantiser: makes uint8 of the values; float32 without.
     tell: called with the fraction done.
 
     Returns the cells [K, 32, 32, 32, C] and their own indirection grid. Blocks whose 32^3 voxels are all 0 get no cell.
@@ -54,17 +55,17 @@ def fill_atlas(
     touched = number_blocks(touched_blocks(mask, indirection))
     mask = reindex_blocks(mask, indirection, touched)
     coordinates, chunks, sizes = block_coordinates(touched), chunk_blocks(count_voxels(mask)), count_voxels(mask)
-    kind: Any = np.uint8 if quantised else np.floating
+    kind: Any = np.uint8 if quantiser else np.floating
 
     def work(part: int) -> Arrays:
         row, *local = np.nonzero(unpack_mask(mask[chunks[part]]))
         voxels = coordinates[chunks[part]][row] * DATA_VOXELS + np.stack(local, axis=-1)
-        return {"values": _voxel_values(field, voxel_grid, voxels, channels, supersampling, seed, quantised)}
+        return {"values": _voxel_values(field, voxel_grid, voxels, channels, supersampling, seed, quantiser)}
 
     def is_valid(part: int, arrays: Arrays) -> bool:
         return arrays_match(arrays, {"values": ((int(sizes[chunks[part]].sum()), channels), kind)})
 
-    cells = np.zeros((len(coordinates), *(CELL_VOXELS,) * 3, channels), np.uint8 if quantised else np.float32)
+    cells = np.zeros((len(coordinates), *(CELL_VOXELS,) * 3, channels), np.uint8 if quantiser else np.float32)
     for part, arrays in run_parts("prefilter", len(chunks), work, cache, lambda f: tell((1 - APRONS) * f), is_valid):
         mask[chunks[part]] = _store(cells[chunks[part]], mask[chunks[part]], arrays["values"])
     kept = number_blocks(touched_blocks(mask, touched))
@@ -75,12 +76,12 @@ def fill_atlas(
 
 
 def _voxel_values(
-    field: Field, voxel_grid: VoxelGrid, voxels: NDArray[Any], channels: int, supersampling: int, seed: int, quantised: bool
+    field: Field, voxel_grid: VoxelGrid, voxels: NDArray[Any], channels: int, supersampling: int, seed: int, quantiser: Quantiser | None
 ) -> NDArray[Any]:
     """Values [N, C] of voxels with indices [N, 3], as cells store them."""
     colour, alpha = average_in_voxels(field, voxel_grid, voxels, supersampling, seed)
     values = np.concatenate([colour[:, : channels - 1], alpha[:, None]], axis=-1)
-    return quantize(values, voxel_uniform(voxels, channels, seed + 1)) if quantised else values
+    return quantiser(values, voxel_uniform(voxels, channels, seed + 1)) if quantiser else values
 
 
 def _store(cells: NDArray[Any], mask: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:

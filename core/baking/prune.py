@@ -30,7 +30,7 @@ def prune(scene: Scene, dataset: Dataset, threshold: float, seed: int = 0, progr
     alpha = scene.cells.reshape(-1, scene.cells.shape[-1])[:, -1]
     needed = np.zeros(len(own), bool)
     for samples in sampled_views(scene, dataset, np.arange(len(dataset.views)), PRUNING_PIXELS, seed, progress):
-        corners = own[corners_of(samples.base)][shares(samples, alpha / np.float32(scene.unit)) >= threshold]
+        corners = own[corners_of(samples.base)][shares(samples, scene.linear(alpha) / np.float32(scene.unit)) >= threshold]
         needed[corners[corners != NO_VOXEL]] = True
     held = alpha[own[own == np.arange(len(own))]] > 0
     kept = without(scene, ~needed)

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ..artifact import Result, kind_of
-from ..data.camera_world import in_training_world, placed_path
-from ..data.load import read_dataset
+from ..data.camera_world import CaptureWorld
 from ..data.readers.camera_files import read_cameras
 from ..data.readers.path_files import read_path
 from ..errors import SnergError
 from ..export.annotations import read_annotations, with_known_cameras
 from ..export.bundle import viewer_files, write_bundle
 from ..export.codecs import PNG, CodecSettings
-from ..export.page_settings import BACKGROUND_NAMES, MODES, PLAIN, THUMBNAILS, PageSettings, is_background
+from ..export.page_settings import AUTOMATIC, BACKGROUND_NAMES, MODES, PLAIN, QUALITIES, THUMBNAILS, PageSettings, is_background
 from ..export.scene_files import codec_of, is_current
 from ..export.thumbnails import SECONDS
 from ..export.world_units import SYSTEMS, WorldUnits
@@ -53,15 +52,14 @@ def bundle_scene(
     """
     check_out(out, "page", scene, *(file for file in (cameras, path, annotations, page.background_image) if file))
     viewer_files()
-    move = placed_path(read_path(path), path, dataset) if path else None
-    listed = read_cameras(cameras) if cameras else ()
-    if cameras and dataset is not None:
-        listed = in_training_world(listed, cameras, dataset)
+    world = CaptureWorld(dataset)
+    move = world.moved_path(read_path(path), path) if path else None
+    listed = world.moved_cameras(read_cameras(cameras), cameras) if cameras else ()
     views = tuple(camera for camera in listed if not camera.is_wide)
     if len(views) < len(listed):
         progress(0.0, Note(f"{len(listed) - len(views)} panoramic or fisheye cameras are left out: a web page cannot draw them."))
     if annotations:
-        page = annotated(page, annotations, [camera.name for camera in views], dataset, progress)
+        page = annotated(page, annotations, [camera.name for camera in views], world, progress)
 
     def opened() -> tuple[Scene, CodecSettings | None]:
         stored = codec_of(scene) if kind_of(scene) == "scene" and is_current(scene) else None
@@ -75,12 +73,10 @@ def bundle_scene(
     return {"out": str(out), "page": str(out / "index.html"), "cameras": len(views), "codec": codec.name, **moves, **written}
 
 
-def annotated(page: PageSettings, file: Path, cameras: list[str], dataset: Path | None, progress: Progress) -> PageSettings:
+def annotated(page: PageSettings, file: Path, cameras: list[str], world: CaptureWorld, progress: Progress) -> PageSettings:
     """The page with the annotations of a file, in the world of the scene. Says which of their cameras the page does not list."""
-    found = read_annotations(file)
-    if dataset is not None:
-        to_world = read_dataset(dataset).source_to_world
-        found = tuple(annotation.moved(to_world) for annotation in found)
+    to_world = world.to_training(file)
+    found = tuple(annotation.moved(to_world) for annotation in read_annotations(file))
     kept, missing = with_known_cameras(found, cameras)
     if missing:
         progress(0.0, Note(f"Annotations lead to no camera where the page does not list theirs: {', '.join(missing)}."))
@@ -113,6 +109,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--move", choices=MODES, default="orbit", help="how people move at first: fly and walk suit scenes seen from inside"
     )
+    parser.add_argument(
+        "--preset", choices=QUALITIES, default=AUTOMATIC, help="how fine the page's picture is, and how much graphics memory it takes"
+    )
     pair: dict[str, Any] = {"type": float, "nargs": 2, "metavar": ("MIN", "MAX")}
     parser.add_argument("--orbit-distance", **pair, help="how near and far people may orbit, in units of the scene")
     parser.add_argument("--orbit-elevation", **pair, help="how low and high people may orbit, in degrees above the horizon")
@@ -134,6 +133,7 @@ def run(options: argparse.Namespace, progress: Progress) -> Result:
         elevation,
         picture,
         options.move,
+        quality=options.preset,
         play=options.play,
         thumbnails=options.thumbnails,
         measures=options.measure,

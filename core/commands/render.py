@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..artifact import Result
-from ..data.camera_world import in_training_world, placed_path
+from ..data.camera_world import CaptureWorld
 from ..data.readers.camera_files import read_cameras
 from ..data.readers.path_files import read_path
 from ..errors import SnergError
@@ -43,7 +43,7 @@ def render_views(
     """Render a scene from each camera of a transforms file into PNG files with straight alpha.
 
     width, height: pixels, in place of the cameras' own; with one of them alone the aspect ratio is kept. dataset: the capture in whose own
-    world the cameras are (see in_training_world); None: they are in the scene's world.
+    world the cameras are (see CaptureWorld); None: they are in the scene's world.
     path: a camera path in place of the cameras, of which every frame is rendered, as frame_0001.png and so on.
     Raises SnergError on bad input, Cancelled when `progress` does; then `out` is as it was.
     """
@@ -51,9 +51,8 @@ def render_views(
     if source is None or (path and cameras):
         raise SnergError("Give the cameras of a file, or a camera path: one of both.")
     check_out(out, "pictures", scene, source)
-    read = path_views(source, (width, height), dataset) if path else read_cameras(source, (width, height))
-    if dataset is not None and not path:
-        read = in_training_world(read, source, dataset)
+    size, world = (width, height), CaptureWorld(dataset)
+    read = path_views(source, size, world) if path else world.moved_cameras(read_cameras(source, size), source)
     views = [resized(camera, width, height) for camera in read]
     snerg = ready_scene(scene, settings)
     names = [camera.name for camera in views] if path else file_names([camera.name for camera in views])
@@ -73,9 +72,9 @@ def render_views(
     }
 
 
-def path_views(file: Path, size: tuple[int | None, int | None], dataset: Path | None) -> tuple[Camera, ...]:
-    """The camera of each frame of a path, named after the frame. Raises as `read_path` and `in_training_world` do."""
-    path = placed_path(read_path(file, size), file, dataset)
+def path_views(file: Path, size: tuple[int | None, int | None], world: CaptureWorld) -> tuple[Camera, ...]:
+    """The camera of each frame of a path, named after the frame. Raises as `read_path` and `CaptureWorld` do."""
+    path = world.moved_path(read_path(file, size), file)
     return tuple(replace(path.camera_at(frame), name=f"frame_{frame:04d}") for frame in path.frames)
 
 

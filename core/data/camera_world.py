@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,30 +21,44 @@ from .load import read_dataset
 NERFSTUDIO = "dataparser_transforms.json"  # in each of nerfstudio's output folders: from the capture's world to its own
 
 
-def in_training_world(cameras: Sequence[Camera], file: str | os.PathLike[str], dataset: Path) -> tuple[Camera, ...]:
-    """The cameras of `file`, which are in the world of the capture at `dataset`, in the world in which that capture is trained.
+class CaptureWorld:
+    """The world of a capture's own files, seen from the one in which it is trained. The capture is read once, when it is first needed."""
 
-    Those of a nerfstudio camera path are in nerfstudio's world, and NERFSTUDIO beside the path or in the capture says where that is.
-    Raises SnergError when it is missing or damaged, and as `read_dataset` does.
-    """
-    similarity = to_training_world(file, dataset)
-    return tuple(camera.moved(similarity) for camera in cameras)
+    def __init__(self, dataset: Path | None) -> None:
+        """dataset: the capture; None: what is moved stays where it is."""
+        self._dataset = dataset
 
+    def moved_cameras(self, cameras: Sequence[Camera], file: str | os.PathLike[str]) -> tuple[Camera, ...]:
+        """The cameras of `file`, which are in the capture's world, in the world in which it is trained.
 
-def placed_path(path: CameraPath, file: str | os.PathLike[str], dataset: Path | None) -> CameraPath:
-    """The path of `file` in the world in which the capture at `dataset` is trained; as it is where that is None."""
-    return path if dataset is None else path.moved(to_training_world(file, dataset))
+        Those of a nerfstudio camera path are in nerfstudio's world, and NERFSTUDIO beside the path or in the capture says where that is.
+        Raises SnergError when it is missing or damaged, and as `read_dataset` does.
+        """
+        if self._dataset is None:
+            return tuple(cameras)
+        similarity = self.to_training(file)
+        return tuple(camera.moved(similarity) for camera in cameras)
 
+    def moved_path(self, path: CameraPath, file: str | os.PathLike[str]) -> CameraPath:
+        """The path of `file`, as `moved_cameras`."""
+        return path if self._dataset is None else path.moved(self.to_training(file))
 
-def to_training_world(file: str | os.PathLike[str], dataset: Path) -> NDArray[Any]:
-    """The similarity [4, 4] of `in_training_world`. Raises as it does."""
-    found = read_dataset(dataset)
-    root = found.root if found.root.is_dir() else found.root.parent
-    value = read_edited_json(Path(file))
-    to_capture = np.eye(4)
-    if isinstance(value, dict) and "camera_path" in value:
-        to_capture = from_nerfstudio(Path(file), root)
-    return np.asarray(found.source_to_world @ to_capture)
+    def to_training(self, file: str | os.PathLike[str]) -> NDArray[Any]:
+        """The similarity [4, 4] of what `file` holds. Raises as `moved_cameras` does."""
+        if self._dataset is None:
+            return np.eye(4)
+        root, to_world = self._capture
+        value = read_edited_json(Path(file))
+        if isinstance(value, dict) and "camera_path" in value:
+            return np.asarray(to_world @ from_nerfstudio(Path(file), root))
+        return to_world
+
+    @cached_property
+    def _capture(self) -> tuple[Path, NDArray[Any]]:
+        """The capture's folder, and the similarity [4, 4] from its world."""
+        assert self._dataset is not None
+        found = read_dataset(self._dataset)
+        return found.root if found.root.is_dir() else found.root.parent, np.asarray(found.source_to_world)
 
 
 def from_nerfstudio(path: Path, root: Path) -> NDArray[Any]:

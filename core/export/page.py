@@ -14,7 +14,7 @@ from ..io.images import to_uint8
 from ..progress import Progress
 from ..rendering.render import render_scene
 from ..scene.scene import Scene
-from .page_settings import PageSettings, pair
+from .page_settings import AUTOMATIC, PageSettings, pair
 
 POSTER = "poster.webp"
 POSTER_SIDE = 960  # pixels of the poster's longer side at most
@@ -31,6 +31,8 @@ def page_html(template: str, settings: PageSettings, poster: str | None, backdro
         attributes["background-image"] = backdrop
     if settings.mode != "orbit":
         attributes["mode"] = settings.mode
+    if settings.quality != AUTOMATIC:
+        attributes["quality"] = settings.quality
     if poster:
         attributes["poster"] = poster
     if settings.distance:

@@ -15,6 +15,8 @@ TRANSPARENT = "transparent"  # what is behind the page's frame shows through
 COLOUR = re.compile("#[0-9a-fA-F]{6}")
 BACKGROUND_NAMES = ", ".join((*BACKGROUNDS, TRANSPARENT))  # for sentences
 MODES = ("orbit", "fly", "walk")
+AUTOMATIC = "auto"  # the quality that suits the device
+QUALITIES = (AUTOMATIC, "phone", "balanced", "full")
 THUMBNAILS = 24  # cameras that have a small picture, where nothing else is asked for
 
 
@@ -30,6 +32,7 @@ class PageSettings:
     elevation: tuple[float, float] | None = None  # lowest and highest orbit, in degrees above the horizon
     background_image: Path | None = None  # a picture behind the scene, which is shown in place of `background` at first
     mode: str = "orbit"  # of MODES: how people move at first
+    quality: str = AUTOMATIC  # of QUALITIES: how fine the picture is at first, and how much graphics memory the scene may take
     play: bool = False  # whether the page's camera path plays as soon as the scene is there
     thumbnails: int = 0  # cameras at most that have a small picture in the page's list
     annotations: tuple[Annotation, ...] = ()  # labels in the scene
@@ -42,6 +45,8 @@ class PageSettings:
             raise SnergError(f"There is no background {self.background!r}; choose from {BACKGROUND_NAMES}, or give a colour as #204060.")
         if self.mode not in MODES:
             raise SnergError(f"There is no way to move {self.mode!r}; choose from {', '.join(MODES)}.")
+        if self.quality not in QUALITIES:
+            raise SnergError(f"There is no quality {self.quality!r} of a page; choose from {', '.join(QUALITIES)}.")
         if self.address and not self.address.startswith(("http://", "https://")):
             raise SnergError(f"{self.address} is not the address of a page; it begins with https:// or http://.")
         if not isinstance(self.thumbnails, int) or self.thumbnails < 0:

@@ -25,12 +25,13 @@ from ..io.images import png_bytes, read_image, read_size
 from ..io.json_files import json_bytes
 from ..io.paths import check_own
 from ..io.schema import flag, number, pose, positive, whole
-from ..progress import Progress, silent
+from ..progress import Note, Progress, silent
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.scene import Scene, blocks_of
 from .atlas import SLICE_PLANES, atlas_blocks, slice_count
 from .atlas_files import atlas_file_names, check_atlas_bytes, write_atlas
 from .codecs import PNG
+from .even_levels import GRAINY, with_even_levels
 from .image_files import read_image_file
 from .reference_axes import FLIP_Z, layout_from_ndc, reorient, viewer_scene
 from .reference_params import MAX_BLOCKS, SNERG_KEY, ReferenceParams, read_params, scene_params
@@ -44,10 +45,13 @@ def write_reference(scene: Scene, folder: Path, camera: Camera | None = None, pr
 
     camera: its image size and focal length are recorded in scene_params.json. The viewer uses them for forward-facing scenes only,
     where those of the frame are recorded instead. The viewer has a near plane and a white background of its own, and no opacity
-    correction. Raises SnergError when the scene exceeds the viewer's limits, when a forward-facing scene's box is rotated, or when
-    the folder cannot be written.
+    correction. Thin fog (Scene.square_roots) is stored with even levels, and a note says what that loses. Raises SnergError when the
+    scene exceeds the viewer's limits, when a forward-facing scene's box is rotated, or when the folder cannot be written.
     """
     check_limits(scene)
+    if scene.square_roots:
+        progress(0.0, Note(GRAINY))
+        scene = with_even_levels(scene)
     turned = viewer_scene(scene)
     with new_folder(folder) as temporary:
         (temporary / "scene_params.json").write_bytes(json_bytes(scene_params(scene, turned, camera)))

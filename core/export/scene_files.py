@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..io.images import png_bytes
 from ..io.json_files import json_bytes
 from ..io.paths import check_own
 from ..io.schema import flag, number, pose, positive, record, rotation, whole
-from ..progress import Progress, silent, within
+from ..progress import Note, Progress, silent, within
 from ..scene.blocks import CELL_VOXELS
 from ..scene.scene import Scene, blocks_of
 from .atlas import MAX_ATLAS_CELLS
@@ -30,6 +31,7 @@ from .image_files import read_image_file
 from .scene_json import (
     FLOAT,
     MAX_VOXELS,
+    ROOTS_VERSION,
     VERSION,
     alternatives_in,
     check_blocks,
@@ -38,6 +40,7 @@ from .scene_json import (
     network_from_json,
     read_scene_json,
     scene_json,
+    square_roots_in,
 )
 
 
@@ -60,6 +63,9 @@ def write_scene_files(
     SnergError as `write_scene` does.
     """
     check_storable(scene.quantised, codec)
+    if scene.square_roots and codec.half_features:
+        progress(0.0, Note("Features are stored at the whole resolution: half of it holds none of thin fog."))
+        codec, *alternatives = (replace(one, half_features=False) for one in (codec, *alternatives))
     if not scene.quantised:
         check_float_cells(scene.cells, "The scene's atlas", "bake it again")
     (folder / "scene.json").write_bytes(json_bytes(scene_json(scene, codec, alternatives)))
@@ -131,6 +137,7 @@ def _scene(folder: Path, value: dict[str, Any]) -> Scene:
         about=check_about_scene(value["about"]),
         ndc=None if value["ndc"] is None else Ndc.from_json(value["ndc"]),
         opacity_correction=flag(value["fill_holes"], "fill_holes"),
+        square_roots=square_roots_in(value),
     )
 
 
@@ -170,8 +177,8 @@ def codecs_of(folder: Path) -> list[CodecSettings]:
 
 
 def is_current(folder: Path) -> bool:
-    """Whether a scene folder has the current version of the format, the only one that a web page reads."""
-    return bool(read_scene_json(folder)["version"] == VERSION)
+    """Whether a scene folder has a current version of the format, which a web page reads."""
+    return read_scene_json(folder)["version"] in (VERSION, ROOTS_VERSION)
 
 
 def scene_files(folder: Path) -> list[Path]:

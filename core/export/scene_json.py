@@ -20,6 +20,7 @@ from .codecs import PNG, CodecSettings
 
 FORMAT = "snerg-scene"
 VERSION = 3
+ROOTS_VERSION = 4  # of scenes of square roots, so that readers that do not know them refuse; it has the key "square_roots"
 OLDER_VERSIONS = (2,)  # that are read too: version 2 has no key "codec" and stores PNG
 FLOAT = {"name": "float", "quality": None}  # the "codec" of a scene that is not quantised
 MAX_VOXELS = 2**17  # of a grid along an axis
@@ -32,7 +33,7 @@ def scene_json(scene: Scene, codec: CodecSettings = PNG, alternatives: Sequence[
     network = scene.network
     return {
         "format": FORMAT,
-        "version": VERSION,
+        "version": ROOTS_VERSION if scene.square_roots else VERSION,
         "voxel_size": float(scene.voxel_size),
         "shape": list(scene.shape),
         "grid_to_world": scene.grid_to_world.tolist(),
@@ -40,6 +41,7 @@ def scene_json(scene: Scene, codec: CodecSettings = PNG, alternatives: Sequence[
         "near": float(scene.near),
         "codec": codec.to_json() if scene.quantised else FLOAT,
         **({"alternatives": [codec.to_json() for codec in alternatives]} if alternatives else {}),
+        **({"square_roots": True} if scene.square_roots else {}),
         "cells": len(scene.cells),
         "atlas_blocks": list(atlas_blocks(len(scene.cells))),
         "ndc": None if scene.ndc is None else scene.ndc.to_json(),
@@ -60,8 +62,8 @@ def read_scene_json(folder: Path) -> dict[str, Any]:
     value = read_json(path)
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         raise SnergError(f"{path} is not a SNeRG scene; import scenes of other tools with 'snerg import'.")
-    if not isinstance(value.get("version"), int) or value["version"] not in (VERSION, *OLDER_VERSIONS):
-        raise SnergError(f"{path} has version {value.get('version')} of the format; this SNeRG reads {VERSION}: update it.")
+    if not isinstance(value.get("version"), int) or value["version"] not in (VERSION, ROOTS_VERSION, *OLDER_VERSIONS):
+        raise SnergError(f"{path} has version {value.get('version')} of the format; this SNeRG reads {ROOTS_VERSION}: update it.")
     return value
 
 
@@ -81,6 +83,11 @@ def alternatives_in(value: dict[str, Any]) -> list[CodecSettings]:
     Raises KeyError, TypeError, ValueError or SnergError when one is not valid.
     """
     return [CodecSettings.from_json(record(codec, "alternatives")) for codec in value.get("alternatives", [])]
+
+
+def square_roots_in(value: dict[str, Any]) -> bool:
+    """Whether a scene's cells hold square roots. Raises KeyError or ValueError where the key is missing or no flag."""
+    return value["version"] == ROOTS_VERSION and flag(value["square_roots"], "square_roots")
 
 
 def check_viewer_values(value: dict[str, Any]) -> None:

@@ -85,7 +85,7 @@ def voxel_transform(scene: Scene) -> NDArray[Any]:
 def blocks(scene: Scene) -> Iterator[tuple[tuple[int, int, int], NDArray[Any], NDArray[Any]]]:
     """Of each block with a cell its first voxel, densities [30, 30, 30] float32 and straight colours [30, 30, 30, 3] float32."""
     for place, cell in zip(block_coordinates(scene.indirection), scene.cells, strict=True):
-        values = cell[1:-1, 1:-1, 1:-1].astype(np.float32) / np.float32(scene.unit)
+        values = scene.linear(cell[1:-1, 1:-1, 1:-1]).astype(np.float32) / np.float32(scene.unit)
         x, y, z = (int(n) * DATA_VOXELS for n in place)
         yield (x, y, z), density_of(opacity(scene, values[..., -1]), scene.voxel_size), straight_colour(values)
 

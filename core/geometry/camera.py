@@ -22,6 +22,7 @@ from .distortion import MAX_ANGLE, Distortion
 
 PROJECTIONS = ("perspective", "orthographic", *wide.PROJECTIONS)
 MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
+PART = 2**14  # points that are projected at a time: they stay in a processor's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +176,14 @@ class Camera:
 
     def project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         """World points [N, 3] to (pixel coordinates [N, 2], depth [N]: along the view axis, or of a wide camera the distance)."""
+        pixels, depth = np.empty((len(points), 2)), np.empty(len(points))
+        for start in range(0, len(points), PART):
+            part = slice(start, start + PART)
+            pixels[part], depth[part] = self._project(points[part])
+        return pixels, depth
+
+    def _project(self, points: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """The same, of as many points as stay in a processor's cache."""
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         if self.is_wide:
             pixels = np.array(self.centre) + np.array(self.focal) * wide.flats(self.projection, local, self._angular(), self.widest)
@@ -183,10 +192,14 @@ class Camera:
             return pixels, np.linalg.norm(local, axis=-1)
         depth = -local[:, 2]
         scale = np.ones_like(depth) if self.projection == "orthographic" else 1 / np.where(depth == 0, np.inf, depth)
-        flat = local[:, :2] * [1, -1] * scale[:, None]
+        flat = np.empty((len(local), 2))  # a column at a time: NumPy is slow where rows are short
+        np.multiply(local[:, 0], scale, out=flat[:, 0])
+        np.multiply(-local[:, 1], scale, out=flat[:, 1])
         if self.distortion is not None:
             flat = self.distortion.distort(flat)
-        return np.array(self.centre) + np.array(self.focal) * flat, depth
+        for axis in (0, 1):
+            flat[:, axis] = self.centre[axis] + self.focal[axis] * flat[:, axis]
+        return flat, depth
 
     def stretch(self, pixels: NDArray[Any]) -> NDArray[Any]:
         """How much longer than in the middle an angle is at pixel coordinates [N, 2] of a wide camera, [N] (see wide.stretch)."""

@@ -28,13 +28,31 @@ def quaternion(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def rotation_matrix(value: NDArray[np.float64]) -> NDArray[np.float64]:
     """The rotation [3, 3] of a quaternion [4] of any length but 0."""
-    x, y, z, w = value / np.linalg.norm(value)
-    return np.array(
+    return np.asarray(rotation_matrices((value / np.linalg.norm(value))[None])[0])
+
+
+def rotation_matrices(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotations [N, 3, 3] of unit quaternions [N, 4]."""
+    x, y, z, w = values.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The product [..., 4] of quaternions: the rotation b, then a."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
+    return np.stack(
         [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+            aw * bx + bw * ax + ay * bz - az * by,
+            aw * by + bw * ay + az * bx - ax * bz,
+            aw * bz + bw * az + ax * by - ay * bx,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ],
+        axis=-1,
     )
 
 

@@ -60,23 +60,24 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
     does not contain a point does not exclude it either. radius: in world units; a point is kept when the silhouette meets the
     sphere of this radius around it.
     """
-    alive = np.arange(len(points))
+    alive, left = np.arange(len(points)), points  # the indices of the points that no camera excluded yet, and these points
     seen = np.zeros(len(points), bool)
     for camera, mask in zip(cameras, masks, strict=True):
-        pixels, depth = camera.project(points[alive])
-        column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
-        inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        pixels, depth = camera.project(left)
+        x, y = pixels[:, 0], pixels[:, 1]
+        inside = (depth > camera.near) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         seen[alive] |= inside
         if mask is None:
             continue
         size = footprint(camera, depth[inside], radius)
-        gone = inside.copy()
+        gone = inside
         if camera.is_wide:
             size *= MAX_STRETCH
+            gone = inside.copy()
             gone[inside] = _measurable(camera, pixels[inside], size)
-        spread = dilated(mask, size)
-        gone[inside] &= ~spread[row[inside], column[inside]]
-        alive = alive[~gone]
+        row, column = (np.where(gone, at, 0).astype(np.int64) for at in (y, x))
+        kept = np.flatnonzero(~gone | dilated(mask, size).ravel().take(row * camera.width + column))
+        alive, left = alive.take(kept), left.take(kept, axis=0)
     result = np.zeros(len(points), bool)
     result[alive] = True
     return np.asarray(result & seen)
@@ -251,16 +252,33 @@ def pack_samples(
     enter is where the ray enters the domain, but at least near; the last sample comes before it leaves the domain, before far and
     before until. near, far, until: [R] or one float; `until` is an estimate (a termination depth), so Samples.cut marks its rays.
     """
-    enter, leave = clip_rays(domain, origins, directions, near)
-    leave = np.minimum(leave, far)
-    cut = until < leave
-    leave = np.minimum(leave, until)
-    counts = np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64)
+    enter, counts, cut = count_steps(domain, origins, directions, length, offset, near, far, until)
     ray, step = coarse_steps(occupied, origins, directions, enter, length, offset, counts)
     distance = (enter[ray] + (step + offset[ray]) * length).astype(np.float32)
     points = origins[ray].astype(np.float32) + directions[ray].astype(np.float32) * distance[:, None]
     full = np.flatnonzero(occupied[cell_index(points)])
     return Samples(points[full], ray[full], length, distance[full], cut)
+
+
+def count_steps(
+    domain: Domain,
+    origins: NDArray[Any],
+    directions: NDArray[Any],
+    length: float,
+    offset: NDArray[Any],
+    near: float | NDArray[Any],
+    far: float | NDArray[Any],
+    until: float | NDArray[Any],
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """(distance at which each ray enters the domain [R], number of its steps int64 [R], whether `until` cuts it bool [R]).
+
+    A ray that misses the domain has no steps. See `pack_samples`.
+    """
+    enter, leave = clip_rays(domain, origins, directions, near)
+    leave = np.minimum(leave, far)
+    cut = until < leave
+    leave = np.minimum(leave, until)
+    return enter, np.ceil(np.maximum(leave - enter, 0) / length - offset).clip(0).astype(np.int64), cut
 
 
 BLOCK = 8  # steps of a ray that one lookup in the coarse grid decides on
@@ -329,6 +347,10 @@ def coarser(occupied: NDArray[Any], span: float) -> tuple[NDArray[Any], int]:
 
 
 def cell_index(points: NDArray[Any]) -> NDArray[Any]:
-    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell."""
+    """The index [N] of the occupancy cell of points [N, 3] in field coordinates, z fastest; outside [-1, 1]^3, of the nearest cell.
+
+    Points and result are NumPy or JAX arrays.
+    """
     index = ((points + np.float32(1)) * np.float32(CELLS / 2)).astype(np.int32).clip(0, CELLS - 1)
-    return np.asarray((index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2])
+    cell: NDArray[Any] = (index[:, 0] * CELLS + index[:, 1]) * CELLS + index[:, 2]
+    return cell

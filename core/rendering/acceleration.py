@@ -28,7 +28,8 @@ class Acceleration:
     A trilinear stencil is the cube between the centres of 8 neighbouring voxels; stencil (i, j, k) has its lowest corner, its `base`, in
     voxel (i, j, k) of a cell. It is occupied when one of its 8 voxels is not 0: only then can a sample in it be anything but 0.
 
-    voxels: a voxel as one word of C bytes, [M * 32^3] uint32 or uint64; float scenes: [M * 32^3, C] float32. unit: stored value of 1.0.
+    voxels: a voxel as one word of C bytes, [M * 32^3] uint32 or uint64; float scenes: [M * 32^3, C] float32. squared: whether these
+        are square roots. unit: see Scene.unit.
     brick_base: int64 [bricks], index in `voxels` that voxel (0, 0, 0) of the whole grid would have if all of it lay in the brick's cell;
         arbitrary where the brick's block has no cell.
     brick_distance: uint8 [bricks], Chebyshev distance in bricks to the nearest brick with an occupied stencil; 0 in those.
@@ -41,6 +42,7 @@ class Acceleration:
     voxels: NDArray[Any]
     channels: int
     unit: float
+    squared: bool
     brick_base: NDArray[Any]
     brick_distance: NDArray[Any]
     bricks: tuple[int, int, int]
@@ -74,6 +76,7 @@ def build_acceleration(scene: Scene) -> Acceleration:
         voxels=voxels,
         channels=channels,
         unit=scene.unit,
+        squared=scene.square_roots,
         brick_base=base.reshape(-1),
         brick_distance=chebyshev_distance(occupied, MAX_BRICK_DISTANCE).reshape(-1),
         bricks=(x, y, z),

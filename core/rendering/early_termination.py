@@ -97,18 +97,20 @@ def premultiplied_excess(scene: Scene) -> float:
     """
     excess = _excess_cache.get(scene)
     if excess is None:
-        ratio, difference = _largest_excess(scene.cells.reshape(-1, scene.cells.shape[-1]))
+        ratio, difference = _largest_excess(scene.cells.reshape(-1, scene.cells.shape[-1]), scene.square_roots)
         samples = float(np.linalg.norm(scene.shape)) + 1
         excess = _excess_cache[scene] = min(ratio, 1 + difference / scene.unit * samples)
     return excess
 
 
-def _largest_excess(voxels: NDArray[Any]) -> tuple[float, float]:
-    """The largest ratio (at least 1) and difference (at least 0, in stored units) of a value and its opacity in voxels [N, C]."""
+def _largest_excess(voxels: NDArray[Any], square_roots: bool) -> tuple[float, float]:
+    """The largest ratio (at least 1) and difference (at least 0, in Scene.unit) of a value and its opacity in voxels [N, C]."""
     ratio, difference = 1.0, 0.0
     for start in range(0, len(voxels), VOXELS_PER_CHUNK):
         part = voxels[start : start + VOXELS_PER_CHUNK]
         part = part[(part[:, :-1] > part[:, -1:]).any(axis=-1)].astype(np.float64)
+        if square_roots:
+            part = part**2
         if len(part):
             largest, alpha = part[:, :-1].max(axis=-1), part[:, -1]
             difference = max(difference, float((largest - alpha).max()))

@@ -26,7 +26,7 @@ class Interpolator:
         self.fractions = np.empty(MAX_INTERPOLATED * channels // 2, np.uint64)
 
     def __call__(self, base: NDArray[Any], fraction: NDArray[Any]) -> NDArray[Any]:
-        """Interpolated values [n, C] float32 of at most MAX_INTERPOLATED samples, in stored units (0 to Acceleration.unit).
+        """Interpolated values [n, C] float32 of at most MAX_INTERPOLATED samples, from 0 to Acceleration.unit.
 
         base: [n] index of the stencil's lowest corner in Acceleration.voxels; fraction: [3, n] float32 in [0, 1), the position in it.
         The result is a view of a buffer that the next call overwrites.
@@ -41,6 +41,8 @@ class Interpolator:
         else:
             for corner, value in zip(self.corners, values.reshape(8, count, channels), strict=True):
                 corner.take(base, axis=0, out=value, mode="clip")
+        if self.acceleration.squared:
+            np.square(values, out=values)
         for axis, half in enumerate((4, 2, 1)):
             self.blend(values[:half], values[half : 2 * half], self.repeat_channels(fraction[axis]))
         result: NDArray[Any] = values[0].reshape(count, channels)

@@ -44,11 +44,13 @@ def _mean_block(scene: Scene, places: NDArray[np.intp], rows: NDArray[np.intp]) 
     whole = np.zeros((*(FACTOR * DATA_VOXELS,) * 3, scene.cells.shape[-1]), np.uint8)
     for (x, y, z), row in zip(places * DATA_VOXELS, rows, strict=True):
         whole[x : x + DATA_VOXELS, y : y + DATA_VOXELS, z : z + DATA_VOXELS] = scene.cells[row, 1:-1, 1:-1, 1:-1]
-    split = whole.reshape(DATA_VOXELS, FACTOR, DATA_VOXELS, FACTOR, DATA_VOXELS, FACTOR, -1)
-    mean = split.sum(axis=(1, 3, 5), dtype=np.uint32) / np.float32(255 * FACTOR**3)
+    split = scene.linear(whole).reshape(DATA_VOXELS, FACTOR, DATA_VOXELS, FACTOR, DATA_VOXELS, FACTOR, -1)
+    mean = split.sum(axis=(1, 3, 5), dtype=np.uint32) / np.float32(scene.unit * FACTOR**3)
     alpha = mean[..., -1:]
     combined = 1 - (1 - alpha) ** FACTOR
     mean *= combined / np.maximum(alpha, 1e-6)
     mean[..., -1:] = combined
+    if scene.square_roots:
+        mean = np.sqrt(mean)
     coarse: NDArray[np.uint8] = np.rint(255 * mean).astype(np.uint8)
     return coarse

@@ -28,11 +28,11 @@ def isosurface(scene: Scene, threshold: float = 0.5) -> tuple[NDArray[Any], NDAr
     if scene.ndc is not None:
         raise SnergError("The scene is forward-facing: its grid lies in device coordinates, which no mesh has.")
     alphas = scene.cells[..., -1]
-    mixed = [m for m in range(len(alphas)) if alphas[m].max() >= threshold * scene.unit > alphas[m].min()]
+    mixed = [m for m in range(len(alphas)) if scene.linear(alphas[m].max()) >= threshold * scene.unit > scene.linear(alphas[m].min())]
     if not mixed:
         raise SnergError(f"Nothing in the scene is as opaque as {threshold:g}; its surface has no mesh.")
     places = block_coordinates(scene.indirection)
-    parts = [block_surface(alphas[m] / np.float32(scene.unit), places[m] * DATA_VOXELS - 1, threshold) for m in mixed]
+    parts = [block_surface(scene.linear(alphas[m]) / np.float32(scene.unit), places[m] * DATA_VOXELS - 1, threshold) for m in mixed]
     cubes, points, quads = (np.concatenate(part) for part in zip(*parts, strict=True))
     dims = tuple(n + 2 * CELL_VOXELS for n in scene.shape)
     keys, first = np.unique(flat(cubes, dims), return_index=True)  # neighbouring blocks share the cubes between them

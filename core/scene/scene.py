@@ -27,6 +27,7 @@ class Scene:
     cells: [M, 32, 32, 32, C], z fastest: a block's own 30 voxels along each axis and an apron of one voxel of its neighbours on each
         side. uint8, or float32 in [0, 1] in an unquantised scene. C = 8: RGB, 4 features, alpha; C = 4 in a diffuse scene: RGB, alpha.
         RGB and features are premultiplied by alpha, the opacity along one voxel's length.
+    square_roots: whether cells, then uint8, hold the square roots of their values: in thin fog (see quantize.py).
     network: the view-dependence network, or None in a diffuse scene.
     view_rotation: [3, 3] rotation from world directions to the axes in which the network was trained.
     near: world units along a ray, before which the scene is invisible.
@@ -47,6 +48,7 @@ class Scene:
     about: dict[str, Any] = field(default_factory=dict)
     ndc: Ndc | None = None
     opacity_correction: bool = False
+    square_roots: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "grid_to_world", rigid(self.grid_to_world, "The scene's grid"))
@@ -57,6 +59,8 @@ class Scene:
         channels = 4 if self.network is None else 8
         if self.cells.shape[1:] != (CELL_VOXELS,) * 3 + (channels,) or self.cells.dtype not in (np.uint8, np.float32):
             raise SnergError(f"The scene's atlas cells are {self.cells.shape} {self.cells.dtype}; bake it again.")
+        if self.square_roots and not self.quantised:
+            raise SnergError("The scene says that its cells hold square roots, and they hold floats; bake it again.")
         if self.indirection.size and not -1 <= self.indirection.min() <= self.indirection.max() < max(len(self.cells), 1):
             raise SnergError("The scene's indirection grid points outside its atlas; bake it again.")
         if self.network is not None:
@@ -79,13 +83,18 @@ class Scene:
 
     @property
     def unit(self) -> float:
-        """The stored number that means 1.0: 255 in quantised cells, else 1."""
-        return 255.0 if self.quantised else 1.0
+        """What `linear` makes of a stored 1.0: 255 in quantised cells, 255^2 of square roots, else 1."""
+        return 255.0 ** (1 + self.square_roots) if self.quantised else 1.0
+
+    def linear(self, stored: NDArray[Any]) -> NDArray[Any]:
+        """Stored values as numbers in proportion to what they mean, elementwise, `unit` times as large: the squares, uint16, of roots."""
+        return np.square(stored, dtype=np.uint16) if self.square_roots else stored
 
     @property
     def effects(self) -> dict[str, bool]:
-        """Which optional effects the scene uses, by the names that scene.json has for them."""
-        return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.opacity_correction}
+        """Which optional effects the scene uses, by the names that scene.json has for them; "thin_fog" is there only in its scenes."""
+        fog = {"thin_fog": True} if self.square_roots else {}
+        return {"view_dependence": self.network is not None, "ndc": self.ndc is not None, "fill_holes": self.opacity_correction, **fog}
 
 
 def blocks_of(shape: tuple[int, int, int]) -> tuple[int, int, int]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..baking.bake import BakeSettings
 from ..baking.supersampling import MIN_GAIN
+from ..baking.thin_fog import MAX_GRAIN
 from ..data.dataset import Dataset
 from ..export.codecs import CodecSettings
 from ..geometry.camera import Camera
@@ -31,7 +32,7 @@ from ..units import duration, file_size
 UNKNOWN = "not measured yet"
 VIEW, ALPHA, BACKDROP, NDC = "View dependence", "Alpha", "Backdrop", "NDC"  # as training calls them
 CLEAR, FILL, CULL, SAMPLES, REFINE = "Transparency", "Equation 9", "Visibility culling", "Samples a voxel", "Refining"
-CODEC, LENS, INTRINSICS = "Lossy codec", "Distortion", "Several intrinsics"
+CODEC, LENS, INTRINSICS, FOG = "Lossy codec", "Distortion", "Several intrinsics", "Thin fog"
 TRANSPARENT = 0.1  # mean transmittance of rays that hit something, above which more than the outlines is transparent
 COSTS = {  # of an effect, and of leaving it out, where they are not measured
     VIEW: (
@@ -57,6 +58,11 @@ COSTS = {  # of an effect, and of leaving it out, where they are not measured
         "All of it but one sample's share; fine detail is then aliased.",
     ),
     REFINE: ("A march of some pixels of every training view, and the fit of the network.", "Both."),
+    FOG: (
+        "About 0.25 bytes a stored value of fog in place of 0.03 to 0.25, and eight texels read by the page for each that its card would "
+        "interpolate.",
+        "That; fog is then grainy.",
+    ),
     CODEC: ("Decibels, and time to write.", "Quality: PNG, WebP and JPEG XL are lossless, and take more bytes."),
     LENS: ("Undistorting each training ray.", "Nothing: rays would not match the images."),
     INTRINSICS: ("Nothing: each ray has the intrinsics of its camera.", "Nothing."),
@@ -130,7 +136,7 @@ def of_scene(snerg: Scene, codec: CodecSettings | None = None) -> list[Effect]:
     images = [decided[name] for name in (ALPHA, BACKDROP) if name in decided]
     return [
         _view_of(snerg, view),
-        *_rows([*images, ndc, _fill_of(snerg)]),
+        *_rows([*images, ndc, _fill_of(snerg), *_fog_of(snerg)]),
         _clear_of(snerg),
         _cull_of(snerg),
         _samples_of(snerg),
@@ -209,6 +215,15 @@ def _fill_of(snerg: Scene) -> Decision:
     was_set = bake.get("settings", {}).get("fill_holes") is not None
     why = "It was set for the bake." if was_set else "The scene does not say why; it is for forward-facing scenes (supplement C.3)."
     return Decision(FILL, snerg.opacity_correction, why, overridden=was_set)
+
+
+def _fog_of(snerg: Scene) -> list[Decision]:
+    """Of a scene of thin fog alone: others carry nothing of it, not even a measurement."""
+    if not snerg.square_roots:
+        return []
+    grain = snerg.about.get("bake", {}).get("thin_fog", {}).get("grain")
+    measured = "" if grain is None else f": even levels would change rays through it by up to {grain:.1f} of 255"
+    return [Decision(FOG, True, f"The scene stores square roots of its values{measured}.", grain, MAX_GRAIN)]
 
 
 def _before_baking(view_dependent: bool, cameras: int) -> list[Decision]:

@@ -38,6 +38,7 @@ class TrainSettings:
     sampler: str = "packed"  # 'packed': equally spaced samples of occupied cells (ours); 'hierarchical' (NeRF, section 5.2)
     hierarchy: str = "auto"  # hierarchical: 'on': a coarse and a fine network; 'off': one; 'auto': as long as rays need two
     samples: int = 32768  # packed: samples of a step (ours: XLA's temporaries stay under 32 MB)
+    packing: str = "auto"  # packed: where samples are packed: 'host', 'device', or 'auto': 'device' on one GPU (which waits for the host)
     spacing: float = 2 / 256  # packed: final distance of samples on [-1, 1] (ours: voxels of a small bake; see `suited`); at first 8 times
     rays: int = 8192  # hierarchical: rays of a step (section 6, synthetic scenes; 16384 for real ones)
     coarse: int = 192  # hierarchical: evenly spaced samples of a ray (section 6)
@@ -78,6 +79,7 @@ class TrainSettings:
         one_of("depth", self.depth, ("off", "on"))
         one_of("backdrop", self.backdrop, ("auto", "on", "off"))
         one_of("sampler", self.sampler, ("packed", "hierarchical"))
+        one_of("packing", self.packing, ("auto", "host", "device"))
         one_of("hierarchy", self.hierarchy, ("auto", "on", "off"))
         one_of("distances", self.distances, ("auto", "linear", "disparity"))
         if self.background not in ("white", "black", "random") and not re.fullmatch("#[0-9a-fA-F]{6}", self.background):
@@ -114,8 +116,9 @@ class TrainSettings:
             raise SnergError(f"Training for {self.steps} steps trains nothing; give 1 or more.")
         if self.steps is None and not (self.seconds is not None and 0 < self.seconds < math.inf):
             raise SnergError(f"Training for {self.seconds} seconds trains nothing; give a time above 0, or steps.")
-        if self.diffuse and self.sampler != "packed":
-            raise SnergError("The setting diffuse is only for the packed sampler; set diffuse to 0 for the hierarchical one.")
+        for name, chosen, other in (("diffuse", self.diffuse, "0"), ("packing", self.packing == "device", "auto")):
+            if chosen and self.sampler != "packed":
+                raise SnergError(f"The setting {name} is only for the packed sampler; set {name} to {other} for the hierarchical one.")
         for name, wanted in (("opaque", self.opaque), ("hierarchy", self.hierarchy == "on")):
             if wanted and self.sampler != "hierarchical":
                 raise SnergError(f"The setting {name} is only for the hierarchical sampler; set sampler=hierarchical with it.")

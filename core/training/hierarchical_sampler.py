@@ -20,7 +20,7 @@ from ..nerf.volume_rendering import MAX_OPTICAL_DEPTH, composite_rows, optical_d
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, over
 from .ray_dataset import RayDataset
-from .sampler import Batch
+from .sampler import Batch, BatchLoss, of_any_length
 from .validation import ValidationRays
 
 UPDATE_CELLS = 2**16  # cells of the occupancy grid that are measured in one update
@@ -41,6 +41,7 @@ class HierarchicalSampler:
         self.settings, self.ray_dataset, self.domain, self.rng = settings, ray_dataset, domain, rng
         self.occupancy = Occupancy.of_hull(alive)
         self.occupied = alive
+        self.loss = BatchLoss(rays_loss, of_any_length(settings), ray_dataset.alpha)
         family = settings.family
         plain = replace(settings, density_noise=0.0)
         self._render = jax.jit(lambda params, rays: render_rays(plain, params, rays)[-1].colour)
@@ -97,10 +98,6 @@ class HierarchicalSampler:
         near, far = np.where(used, near, 1), np.where(used, far, 2)  # the others count nothing, and must be finite
         arrays = {"origins": origins, "directions": directions, "view_directions": unit(view_directions), "near": near, "far": far}
         return {name: value.astype(np.float32) for name, value in arrays.items()} | {"used": used}
-
-    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        """See `rays_loss`, over all rays of a batch or of a device's part of it."""
-        return rays_loss(self.settings, self.ray_dataset.alpha, params, batch)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What `restore` reads, named arrays of any shape."""

@@ -5,6 +5,7 @@ The order of the search is that of the computation: batch, parameters, colours, 
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -28,7 +29,7 @@ def cause(loss_of: Loss, params: Any, arrays: dict[str, Any]) -> str:
             return f"the rays ({name}) are not finite; look for a broken pose or lens in the dataset"
     if broken := not_finite(params):
         return f"{broken} has values that are not finite; go on from an earlier state, and {LOWER_RATE}"
-    (loss, aux), gradient = jax.jit(jax.value_and_grad(loss_of, has_aux=True))(params, arrays)  # as in the step
+    (loss, aux), gradient = _compiled(loss_of)(params, arrays)
     if not finite(aux["error"]):
         return f"the colours that the network gives are not finite, of finite parameters; {LOWER_RATE}"
     if not finite(loss):
@@ -36,6 +37,12 @@ def cause(loss_of: Loss, params: Any, arrays: dict[str, Any]) -> str:
     if broken := not_finite(gradient):
         return f"the gradient of {broken} is not finite; {LOWER_RATE}"
     return f"nothing of the loss is, but the step made of it is not finite; {LOWER_RATE}"
+
+
+@lru_cache(2)
+def _compiled(loss_of: Loss) -> Any:
+    """The loss and its gradient, compiled as in the step."""
+    return jax.jit(jax.value_and_grad(loss_of, has_aux=True))
 
 
 def not_finite(tree: Any) -> str | None:

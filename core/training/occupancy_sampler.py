@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from ..io.schema import positive
 from ..nerf.field import in_chunks
-from ..nerf.model import density_of, field_inputs, field_outputs, raw_outputs
+from ..nerf.model import ModelConfig, density_of, field_inputs, field_outputs, raw_outputs
 from ..nerf.sampling import CELLS, Domain, Occupancy, estimates, pack_samples
 from ..nerf.shading import ray_colour, sample_values
 from ..nerf.volume_rendering import composite, depth_before, optical_depth
 from .config import TrainSettings
 from .losses import backgrounds, cauchy, diffuse_error, over, softness
 from .ray_dataset import RayDataset
-from .sampler import Batch
+from .sampler import Batch, BatchLoss, of_any_length
 from .termination_depth import DARK, LEFT, TerminationDepths
 from .validation import ValidationRays, packed_colours
 
@@ -57,8 +57,8 @@ class OccupancySampler:
         self.coarse_share = coarse_share(settings)
         self.most_rays = max(settings.samples // 4, 64)
         self.samples_per_ray = 32.0
-        self._inputs = jax.jit(partial(field_inputs, jnp, settings.family))
-        self._outputs = jax.jit(partial(field_outputs, jnp, settings.family))
+        self._inputs, self._outputs = compiled(settings.family)
+        self.loss = BatchLoss(batch_loss, of_any_length(settings), ray_dataset.alpha)
 
     def spacing(self, fraction: float) -> float:
         """The sample spacing in field coordinates at a fraction of the training in [0, 1]. It is large at first (see SPACINGS), so that a
@@ -69,8 +69,16 @@ class OccupancySampler:
         """Update the termination depths; every UPDATE_EVERY steps, the occupancy grid too: cells with an opacity under 0.01 over one
         final interval become empty after WARM_UP steps."""
         self._learn_termination(aux)
-        if step % UPDATE_EVERY and step not in (16, 32):
-            return
+        if self.is_due(step):
+            self.update_occupancy(params, step)
+
+    @staticmethod
+    def is_due(step: int) -> bool:
+        """Whether the occupancy grid is updated after a step."""
+        return step % UPDATE_EVERY == 0 or step in (16, 32)
+
+    def update_occupancy(self, params: Any, step: int) -> None:
+        """Measure cells of the occupancy grid; from WARM_UP on, some become empty."""
         self.occupancy.update(partial(self.density, params), UPDATE_CELLS, self.rng)
         if step >= WARM_UP:
             self.occupancy.prune(0.01 / self.settings.spacing)
@@ -140,10 +148,6 @@ class OccupancySampler:
         never = np.full(len(skipped), np.inf, np.float32)
         self.termination.learn(np.concatenate([self.drawn.tile[rays], skipped]), np.concatenate([end, never]))
 
-    def loss(self, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
-        """See `batch_loss`."""
-        return batch_loss(self.settings, self.ray_dataset.alpha, params, batch)
-
     def state(self) -> dict[str, NDArray[Any]]:
         """What `restore` reads, named arrays of any shape."""
         return {"most": self.occupancy.most, "reach": self.termination.depths, "samples_per_ray": np.array(self.samples_per_ray)}
@@ -154,6 +158,12 @@ class OccupancySampler:
         self.occupied = self.occupancy.occupied
         self.termination.depths = estimates(state["reach"], "reach", self.termination.depths.shape)
         self.samples_per_ray = positive(float(state["samples_per_ray"]), "samples_per_ray")
+
+
+@cache
+def compiled(family: ModelConfig) -> tuple[Any, Any]:
+    """`field_inputs` and `field_outputs` of a model, compiled: once in a process, however many trainings it has."""
+    return jax.jit(partial(field_inputs, jnp, family)), jax.jit(partial(field_outputs, jnp, family))
 
 
 def batch_loss(settings: TrainSettings, has_alpha: bool, params: Any, batch: dict[str, Any]) -> tuple[Any, dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..errors import SnergError
 from .config import TrainSettings
 from .optimizer import Loss, train_step
+from .sampler import of_any_length
 
 PACKED = ("inputs", "ray", "valid", "noise")  # have an axis of samples
 
@@ -39,7 +40,7 @@ class Devices:
     def step(self, settings: TrainSettings, loss_of: Loss) -> Any:
         """`train_step`, compiled, for what `place` and `feed` return."""
         if self._mesh is None:
-            return jax.jit(partial(train_step, settings, loss_of), donate_argnums=(0, 1))
+            return _compiled(of_any_length(settings), loss_of)
         everywhere = NamedSharding(self._mesh, PartitionSpec())
         return jax.jit(partial(train_step, settings, self._added(loss_of)), donate_argnums=(0, 1), out_shardings=everywhere)
 
@@ -89,6 +90,12 @@ class Devices:
 def longest_ray(settings: TrainSettings) -> int:
     """The largest number of samples of one ray in the cube [-1, 1]^3 at the final spacing."""
     return math.ceil(2 * math.sqrt(3) / settings.spacing) + 2
+
+
+@lru_cache(8)
+def _compiled(settings: TrainSettings, loss_of: Loss) -> Any:
+    """`train_step` on one device, compiled: once in a process for trainings whose settings and losses are equal."""
+    return jax.jit(partial(train_step, settings, loss_of), donate_argnums=(0, 1))
 
 
 def split_batch(arrays: dict[str, Any], parts: int, longest: int) -> tuple[dict[str, Any], dict[str, Any]]:

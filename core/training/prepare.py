@@ -21,6 +21,7 @@ from ..progress import Progress
 from . import decisions, known_depth, view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
+from .device_sampler import DeviceSampler, packs_on_device
 from .hierarchical_sampler import HierarchicalSampler
 from .light import diffuse_pixels
 from .losses import plain_colour
@@ -185,12 +186,16 @@ def training_box(dataset: Dataset, rays: RayDataset, seed: int) -> Decision:
 def make_sampler(
     settings: TrainSettings, rays: RayDataset, occupied: NDArray[Any], rng: np.random.Generator
 ) -> tuple[Sampler, list[Decision]]:
-    """The sampler that the settings name, with its 'auto' settings decided, and these decisions. occupied: bool [CELLS^3]."""
+    """The sampler that the settings name, with its 'auto' settings decided, and these decisions. occupied: bool [CELLS^3].
+
+    Raises SnergError as `packs_on_device` does.
+    """
     origins, directions, near, *_ = rays.rays(rays.draw(DECISION_RAYS, np.random.default_rng(settings.seed)))
     domain = rays.domain
     sampling = decisions.sampling(settings, domain, occupied, origins, directions, near)
     if settings.sampler == "packed":
-        return OccupancySampler(settings, rays, domain, occupied, rng), [sampling]
+        kind = DeviceSampler if packs_on_device(settings) else OccupancySampler
+        return kind(settings, rays, domain, occupied, rng), [sampling]
     disparity = decisions.disparity(settings.distances, domain, origins, directions, near, rays.ndc is not None)
     hierarchy, distances = "on" if sampling.chosen else "off", "disparity" if disparity.chosen else "linear"
     decided = replace(settings, distances=distances, hierarchy=hierarchy)

@@ -54,7 +54,7 @@ def trained_field(prepared: Prepared, state: TrainState, params: Any, held_out_p
     A diffuse field has no features.
     """
     settings, dataset = prepared.settings, prepared.dataset
-    params = jax.tree.map(np.asarray, params)
+    params = jax.tree.map(np.array, params)  # copies: the next step reuses the device's memory
     network = ViewNetwork(*params["view"]) if "view" in params and state.view != "diffuse" else None
     if settings.view_dependence == "auto" and state.view == "diffuse":
         shapes = init_field(settings.family, "diffuse", np.random.default_rng(0))["field"]

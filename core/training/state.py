@@ -17,7 +17,7 @@ from .non_finite import not_finite
 from .optimizer import learning_rate, zero_moments
 from .parallel import Devices
 from .prepare import Prepared
-from .sampler import Batch
+from .sampler import Batch, Sampler
 from .view_dependence_test import EFFECT
 from .weight_average import EVERY, WeightAverage
 
@@ -65,15 +65,17 @@ class TrainState:
 
 @dataclass(frozen=True)
 class StepReport:
-    """The results of a step other than the next parameters. loss, aux and finite are on the device, perhaps still being computed."""
+    """The results of a step, or of several, other than the next parameters. loss, aux and finite are on the device, perhaps still being
+    computed; of several steps they have an axis of steps. So may be samples and rays, those of the last step."""
 
     fraction: float  # of the training that was done before the step
     rate: float  # the step's learning rate
-    samples: int
-    rays: int
+    samples: Any
+    rays: Any
     loss: Any = 0.0
     aux: Any = None  # of the loss, for `Sampler.learn`
     finite: Any = True  # whether the loss and the gradient are
+    steps: int = 1
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,14 @@ class TrainStep:
     settings: TrainSettings
     devices: Devices
     compiled: Any  # what `Devices.step` returns
+
+    def draw(self, sampler: Sampler, state: TrainState) -> Batch:
+        """The batch of the next step."""
+        return sampler.batch(self.devices.local(state.params), state.fraction(self.settings))
+
+    def last(self, batch: Batch) -> dict[str, Any]:
+        """The arrays of a batch, those of its last step, as `Sampler.loss` takes them."""
+        return batch.arrays
 
     def __call__(self, state: TrainState, batch: Batch) -> tuple[TrainState, StepReport]:
         """(state with the next parameters, report). Does not wait for the device, so that Ctrl-C never falls between the old

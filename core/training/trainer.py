@@ -27,11 +27,13 @@ from ..progress import Note, Progress, silent
 from . import view_dependence_test
 from .config import TrainSettings
 from .decisions import Decision
+from .device_sampler import DeviceSampler
+from .dispatch import compiled_step
 from .non_finite import cause
 from .parallel import Devices
 from .prepare import held_out_of, prepare
 from .saving import Saver, TrainProgress, trained_field
-from .state import StepReport, TrainStep, initial_state, restored_state, state_arrays
+from .state import StepReport, initial_state, restored_state, state_arrays
 from .validation import ValidationRays, mean_psnr_of
 
 PATIENCE = 5  # steps in a row that are not finite end the training
@@ -54,9 +56,10 @@ class Trainer:
         self.state = initial_state(self.prepared, self.devices)
         self.report = StepReport(0.0, 0.0, 0, 0)  # of the last step
         self.held_out_psnr: float | None = None
+        self.trial: view_dependence_test.Trial | None = None  # while a diffuse field is on trial
         self.stopping = False  # set where the other processes of the training must stop with this one
         progress(0.0, "Compiling the training step")
-        self.train_step = TrainStep(settings, self.devices, self.devices.step(settings, self.prepared.sampler.loss))
+        self.train_step = compiled_step(settings, self.devices, self.prepared.sampler)
 
     def fraction(self) -> float:
         """How much of the training is done, in [0, 1]."""
@@ -71,8 +74,7 @@ class Trainer:
         began, reported, scored = time.perf_counter() - self.state.elapsed, 0.0, self.state.elapsed
         compiled = False
         while self.fraction() < 1:
-            if self.state.undecided and self.fraction() >= view_dependence_test.AT:
-                self.test_view_dependence()
+            self.test_view_dependence()
             self.advance()
             if not compiled:  # compiling, most of the first step, counts as set-up
                 compiled, began = True, time.perf_counter() - self.state.elapsed
@@ -99,28 +101,48 @@ class Trainer:
     def progress(self) -> TrainProgress:
         """The progress after the last step."""
         state, report = self.state, self.report
-        last = (report.rays, report.samples, report.rate)
+        last = (int(report.rays), int(report.samples), report.rate)
         return TrainProgress(self.fraction(), state.step, state.loss, state.psnr, state.elapsed, *last, self.held_out_psnr)
 
     def advance(self) -> None:
-        """One step. Raises SnergError when it and the PATIENCE - 1 before it are not finite."""
+        """One step, or those of one dispatch. Raises SnergError when the last PATIENCE steps are not finite."""
         sampler = self.prepared.sampler
-        batch = sampler.batch(self.devices.local(self.state.params), self.fraction())
+        batch = self.train_step.draw(sampler, self.state)
         self.state, self.report = self.train_step(self.state, batch)
         params = self.devices.local(self.state.params)
         sampler.learn(params, self.state.step, self.report.aux)
         self.state = self.train_step.recorded(self.state, self.report)
         if (failed := self.state.non_finite_steps) >= PATIENCE:
-            why, first = cause(sampler.loss, params, batch.arrays), self.state.step - failed + 1
-            raise SnergError(f"Training went wrong at step {first}, and {PATIENCE} times in a row: {why}.")
+            why, first = cause(sampler.loss, params, self.train_step.last(batch)), self.state.step - failed + 1
+            raise SnergError(f"Training went wrong at step {first}, and {failed} times in a row: {why}.")
 
     def test_view_dependence(self) -> None:
-        """Decide between a deferred and a diffuse field, and go on as decided; see `view_dependence_test`."""
-        prepared, devices = self.prepared, self.devices
-        decision = view_dependence_test.run(self.state.step, self.field(), prepared.rays, prepared.validation_views, prepared.settings)
-        if decision.measured is not None and not devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
-            params = devices.place(view_dependence_test.silenced(devices.local(self.state.params)))
-            self.state = replace(self.state, params=params)
+        """Decide between a deferred and a diffuse field when it is time, and go on as decided; see `view_dependence_test`."""
+        if not self.state.undecided or self.fraction() < view_dependence_test.AT:
+            return
+        if self.trial is not None:
+            return self._end_trial(self.trial) if self.fraction() >= self.trial.ends else None
+        if self.state.step < view_dependence_test.LEAST:
+            return self.decide(view_dependence_test.too_short())
+        prepared, checkpoint = self.prepared, self.checkpoint()
+        rays = view_dependence_test.tested_rays(prepared.rays, prepared.validation_views, prepared.settings)
+        decision, before = view_dependence_test.run(checkpoint[0], rays, prepared.validation_views), float(self.errors(rays).mean())
+        if self.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
+            return self.decide(decision)
+        self.state = replace(self.state, params=self.devices.place(view_dependence_test.silenced(self.devices.local(self.state.params))))
+        if view_dependence_test.TRIAL * self.state.step / self.fraction() < view_dependence_test.RECOVERY:
+            return self.decide(decision)
+        ends = self.fraction() + view_dependence_test.TRIAL
+        self.trial = view_dependence_test.Trial(ends, rays, before, decision, checkpoint)
+
+    def _end_trial(self, trial: view_dependence_test.Trial) -> None:
+        """Keep the diffuse field, or go back to the deferred one, at the present time of the training."""
+        decision = trial.judged(float(self.errors(trial.rays).mean()))
+        self.trial = None
+        if self.devices.shared(decision.chosen == "deferred"):
+            now = self.state
+            self.restore(trial.checkpoint[1])
+            self.state = replace(self.state, step=now.step, elapsed=now.elapsed)
         self.decide(decision)
 
     def decide(self, decision: Decision) -> None:
@@ -146,8 +168,8 @@ class Trainer:
         return state_arrays(self.state, self.devices) | {"random": random} | sampler
 
     def checkpoint(self) -> tuple[Field, dict[str, NDArray[Any]]]:
-        """The field, and the named arrays of any shape to continue from."""
-        return self.field(), self.arrays()
+        """The field, and the named arrays of any shape to continue from. While a diffuse field is on trial, those from before it."""
+        return (self.field(), self.arrays()) if self.trial is None else self.trial.checkpoint
 
     def restore(self, arrays: dict[str, NDArray[Any]], decisions: list[dict[str, Any]] | None = None) -> None:
         """Continue from `arrays` (of any shape), and from the decisions in the field's `about`.
@@ -208,6 +230,9 @@ def train(
         saver = Saver(folder, trainer.checkpoint, save_every, trainer.state.step, trainer.held_out_psnr, preview)
     with saved_when_stopped(trainer, saver):
         run_to_the_end(trainer, saver, progress)
+    sampler = trainer.prepared.sampler
+    if isinstance(sampler, DeviceSampler) and (remark := sampler.remark()):
+        progress(1.0, Note(remark))
     field = trainer.field()
     if saver:
         with SAVING:

@@ -19,7 +19,8 @@ from ..nerf.checkpoint import FILE, is_field, read_field, read_field_and_state
 from ..nerf.field import Field
 from .config import TrainSettings
 
-ADDED = {"depth": "off", "diffuse": 0.0}  # settings that earlier versions had not, at the values with which training does as those did
+# Settings that earlier versions had not, at the values with which training does as those did.
+ADDED = {"depth": "off", "diffuse": 0.0, "packing": "auto"}
 NEW, UNFINISHED, FINISHED = "new", "unfinished", "finished"
 
 

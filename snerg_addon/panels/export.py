@@ -79,6 +79,7 @@ def draw_page(layout: bpy.types.UILayout, settings: Any) -> None:
     if settings.page_background in ("colour", "image"):
         body.prop(settings, f"page_{settings.page_background}")
     body.prop(settings, "page_mode")
+    body.prop(settings, "page_quality")
     body.prop(settings, "limits_orbit")
     if settings.limits_orbit:
         body.prop(settings, "orbit_distance")

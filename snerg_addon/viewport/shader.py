@@ -39,11 +39,11 @@ def march_shader(scene: Scene, pages: int, features_need_alpha: bool) -> gpu.typ
     info.fragment_out(0, "VEC4", "colour")
     info.fragment_out(1, "FLOAT", "ray_depth")
     constants = {"DATA_VOXELS": f"{DATA_VOXELS}.0", "CELL_VOXELS": f"{CELL_VOXELS}.0"}
-    parts = [lookup("rgba", pages), skip_lookup(pages)]
+    parts = [lookup("rgba", pages, scene.square_roots), skip_lookup(pages)]
     if scene.network is not None:
         constants |= {"VIEW_DEPENDENCE": "", "NETWORK_TRANSMITTANCE": number(NETWORK_TRANSMITTANCE)}
         constants["FEATURES_ABOVE"] = number(0 if features_need_alpha else -1)
-        parts += [lookup("feature", pages), network(scene.network)]
+        parts += [lookup("feature", pages, scene.square_roots), network(scene.network)]
     if scene.opacity_correction:
         constants["OPACITY_CORRECTION"] = ""
     for name, value in constants.items():
@@ -81,20 +81,26 @@ def _info() -> gpu.types.GPUShaderCreateInfo:
     return info
 
 
-def lookup(kind: str, pages: int) -> str:
+def lookup(kind: str, pages: int, square_roots: bool) -> str:
     """`vec4 KIND_at(int page, vec3 at)`: trilinear, of eight texels. Cards interpolate 8-bit textures with 8-bit weights, or may: thin fog
     would come out several times too dense. Samplers cannot be indexed by a variable, so that a page is chosen by comparing."""
     lines = "\n".join(f"  if (page == {page}) {{ return {kind}_blend({kind}_{page}, at); }}" for page in range(pages))
-    return f"{blend(kind)}\nvec4 {kind}_at(int page, vec3 at)\n{{\n{lines}\n  return vec4(0.0);\n}}\n"
+    return f"{blend(kind, square_roots)}\nvec4 {kind}_at(int page, vec3 at)\n{{\n{lines}\n  return vec4(0.0);\n}}\n"
 
 
-def blend(kind: str) -> str:
-    """`vec4 KIND_blend(sampler3D page, vec3 at)`; texel centres lie at halves."""
-    corners = [f"texelFetch(page, low + ivec3({x}, {y}, {z}), 0)" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+def blend(kind: str, square_roots: bool) -> str:
+    """`vec4 KIND_blend(sampler3D page, vec3 at)`; texel centres lie at halves. square_roots: texels hold those of their values."""
+    texel = (
+        f"{kind}_squared(texelFetch(page, low + ivec3({{}}, {{}}, {{}}), 0))"
+        if square_roots
+        else "texelFetch(page, low + ivec3({}, {}, {}), 0)"
+    )
+    corners = [texel.format(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
     along_z = [f"mix({corners[2 * i]}, {corners[2 * i + 1]}, part.z)" for i in range(4)]
     along_y = [f"mix({along_z[2 * i]}, {along_z[2 * i + 1]}, part.y)" for i in range(2)]
+    squared = f"vec4 {kind}_squared(vec4 root) {{ return root * root; }}\n" if square_roots else ""
     return (
-        f"vec4 {kind}_blend(sampler3D page, vec3 at)\n{{\n  vec3 texel = at - 0.5;\n  ivec3 low = ivec3(floor(texel));\n"
+        f"{squared}vec4 {kind}_blend(sampler3D page, vec3 at)\n{{\n  vec3 texel = at - 0.5;\n  ivec3 low = ivec3(floor(texel));\n"
         f"  vec3 part = texel - vec3(low);\n  return mix({along_y[0]}, {along_y[1]}, part.x);\n}}\n"
     )
 

@@ -143,6 +143,7 @@ def covered(camera: Camera, cube: bpy.types.Object, finer: int = 8) -> tuple[np.
     return share(green), share(red)
 
 
+@pytest.mark.hard_case(76)
 def test_a_mesh_half_inside_a_baked_block_is_right_to_the_pixel(stage, tmp_path):
     scene, _, cube = stage
     assert bpy.ops.snerg.composite() == {"FINISHED"}
@@ -164,6 +165,7 @@ def near(marked: np.ndarray) -> np.ndarray:
     return np.any([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
 
 
+@pytest.mark.hard_case(76)
 def test_where_two_surfaces_cross_the_edge_is_soft(stage, tmp_path):
     """The crossing has no silhouette in either render: only the depths tell where within a pixel it runs."""
     scene, _, cube = stage

@@ -70,7 +70,8 @@ def started(monkeypatch, name: str) -> list[str]:
     module = importlib.import_module(f"snerg.operators.{name}")
     for starter in ("start_command", "start_training"):
         monkeypatch.setattr(module, starter, lambda arguments: arguments, raising=False)
-    return getattr(module, f"SNERG_OT_{name}").start(None, bpy.context, project_of(bpy.context.scene))
+    operator = getattr(module, f"SNERG_OT_{name}")  # in place of an instance, which only Blender makes
+    return operator.start(operator, bpy.context, project_of(bpy.context.scene))
 
 
 def test_the_panels_settings_reach_the_command_line(scene, monkeypatch):
@@ -276,9 +277,12 @@ def test_a_page_says_what_the_artist_wrote(scene, monkeypatch):
     assert "--orbit-distance" not in started(monkeypatch, "export_web")
     settings.page_title, settings.page_background, settings.limits_orbit = "--out", "black", True
     settings.orbit_distance, settings.orbit_elevation = (2.0, 3.5), (0.0, math.pi / 4)
+    assert "--preset" not in started(monkeypatch, "export_web")
+    settings.page_quality = "phone"
     parsed = parser().parse_args(started(monkeypatch, "export_web"))
     assert parsed.title == "--out" and parsed.background == "black" and parsed.description == ""
     assert parsed.orbit_distance == [2.0, 3.5] and parsed.orbit_elevation == [0.0, 45.0] and parsed.move == "orbit"
+    assert parsed.preset == "phone"
 
 
 def test_the_background_of_a_page(scene, monkeypatch):

@@ -69,9 +69,12 @@ def test_axe_finds_nothing(axed: Page, made: Path, serve: Serve) -> None:
 def test_axe_finds_nothing_while_loading_and_after_an_error(axed: Page, made: Path, serve: Serve, tmp_path: Path) -> None:
     copied = Path(shutil.copytree(made, tmp_path / "web"))
     (copied / "poster.webp").unlink()
+    cameras = (copied / "cameras.json").read_text()
+    (copied / "cameras.json").write_text(cameras.replace('"version"', '"coarse":true,"version"', 1))  # whose files are not there
     axed.route("**/scene/rgba_001.png", lambda route: None)  # not answered
     axed.goto(serve(copied))
     axed.get_by_text("Loading the scene: ").wait_for()
+    axed.get_by_role("log").get_by_text("coarse/scene.json is missing").wait_for()
     assert faults(axed) == []
     axed.unroute_all()
     (copied / "scene" / "scene.json").write_text("null")
@@ -117,6 +120,43 @@ def test_what_happens_is_said_in_words(page: Page, made: Path, serve: Serve) -> 
         canvas.press(key)
         page.get_by_text(text).first.wait_for(state="attached")
     assert heard(page).count("Camera Front, 1 of 7.") <= 2
+
+
+def test_single_key_shortcuts_can_be_kept_to_the_picture(page: Page, made: Path, serve: Serve) -> None:
+    """WCAG 2.1.4. Named keys stay; the choice outlives the page; and what is chosen off can be chosen on."""
+
+    def state() -> dict[str, object]:
+        return page.evaluate("document.querySelector('snerg-viewer').viewer.state")
+
+    def choose(everywhere: bool) -> None:
+        page.get_by_role("button", name="Help").click()
+        page.get_by_role("checkbox", name="Single-key shortcuts").set_checked(everywhere)
+        page.get_by_role("button", name="Close").click()
+
+    assert opened(page, serve(made) + "?width=80&height=60") is None
+    page.emulate_media(reduced_motion="reduce")  # cameras change at once
+    page.keyboard.press("2")
+    assert state()["camera"] == "Shifted, rolled"
+    choose(False)
+    for focused in ("help", None):
+        page.evaluate("document.querySelector('snerg-viewer').shadowRoot.activeElement?.blur()")
+        if focused:
+            page.locator(f"#{focused}").focus()
+        for key in ("3", "v", "n", "-", "c"):
+            page.keyboard.press(key)
+        assert (state()["camera"], state()["mode"], state()["atCamera"]) == ("Shifted, rolled", "orbit", True)
+    page.locator("#help").press("ArrowUp")
+    assert state()["atCamera"] is False, "an arrow is no character"
+    page.locator("#canvas").press("1")
+    assert state()["camera"] == "Front"
+    page.reload()
+    assert page.evaluate("window.snerg.ready")
+    page.locator("#canvas").press("1")
+    page.locator("#help").press("2")
+    assert state()["camera"] == "Front"
+    choose(True)
+    page.locator("#help").press("2")
+    assert state()["camera"] == "Shifted, rolled"
 
 
 @pytest.mark.slow

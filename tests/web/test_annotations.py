@@ -139,7 +139,7 @@ def test_only_pages_with_annotations_hold_their_code(page: Page, tmp_path: Path,
     write_bundle(scene, CAMERAS[:1], tmp_path / "broken", page=PageSettings(annotations=NOTES))
     (tmp_path / "broken" / "annotations.json").write_text('{"annotations": [{"text": 3}]}')
     assert opened(page, serve(tmp_path / "broken")) is None, "the scene is shown"
-    expect(page.locator("#hint")).to_contain_text("annotations.json is damaged")
+    expect(page.locator("#missing")).to_contain_text("annotations.json is damaged")
 
 
 def test_many_labels_take_turns() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +12,13 @@ from playwright.sync_api import Browser, Page, expect
 
 from scenes import make_cameras, make_snerg
 from snerg.core.export import bundle
+from snerg.core.export.annotations import Annotation
 from snerg.core.export.bundle import VIEWER, write_bundle
+from snerg.core.export.page_settings import PageSettings
+from snerg.core.geometry.camera_path import CameraPath, Shot
+from snerg.core.rendering.render import render_scene
 from snerg.core.study.benchmarks import read_benchmark
-from snerg.tests.web.conftest import ROOT, opened
+from snerg.tests.web.conftest import ROOT, opened, picture
 from snerg.tests.web.test_access import AXE
 
 Serve = Callable[[Path], str]
@@ -124,21 +129,52 @@ def test_optional_code_is_fetched_when_it_is_wanted(page: Page, made: Path, serv
     assert sum("optional/benchmark.js" in url for url in asked) == 1
 
 
-def test_missing_optional_code_is_named(page: Page, tmp_path: Path, serve: Serve) -> None:
-    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web")
-    (tmp_path / "web" / "optional" / "benchmark.js").unlink()
+def test_the_scene_stays_where_optional_files_are_missing(
+    page: Page, tmp_path: Path, serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Everything is deleted that a page can do without: one sentence names each part of it, once, and can be closed."""
+    monkeypatch.setattr(bundle, "COARSE_FROM", 1)
+    web, scene = tmp_path / "web", make_snerg(shape=(34, 30, 40))
+    cameras = make_cameras()
+    path = CameraPath((Shot((1.0, 9.0), (cameras[0], cameras[0])),), 1, 9, 24.0)
+    notes = (Annotation("A rod", (0.8, -0.2, 0.9)),)
+    write_bundle(scene, cameras, web, page=PageSettings(thumbnails=3, annotations=notes, measures=True, vr=True), path=path)
+    for name in ("coarse", "thumbnails", "optional"):
+        shutil.rmtree(web / name)
+    for name in ("annotations.json", "poster.webp"):
+        (web / name).unlink()
+    assert opened(page, serve(web) + "?width=160&height=120#benchmark&frames=1") is None
+    said = page.locator("#missing-list p")
+    expect(said).to_have_count(6)
+    texts = said.all_inner_texts()
+    for name in ("path", "annotations", "measure", "vr", "benchmark"):
+        assert texts.count(f"The file optional/{name}.js did not arrive. Upload the whole folder of the page.") == 1
+    assert "The file coarse/scene.json is missing from the server. Upload the whole folder of the page." in texts
+    page.evaluate("location.hash = 'benchmark&frames=2'")  # said already
+    page.locator("#canvas").press("2")
+    page.locator("#canvas").press("1")
+    page.get_by_role("button", name="Close").click()
+    expect(said).to_have_count(0)
+    assert np.abs(picture(page) - render_scene(scene, cameras[0]).over()).mean() < 0.5 / 255
+
+
+def test_a_missing_texel_file_of_the_coarse_scene_is_named(
+    page: Page, tmp_path: Path, serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bundle, "COARSE_FROM", 1)
+    write_bundle(make_snerg(shape=(34, 30, 40)), make_cameras()[:1], tmp_path / "web")
+    (tmp_path / "web" / "coarse" / "rgba_002.png").unlink()
     assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
-    page.evaluate("location.hash = 'benchmark&frames=1'")
-    page.get_by_role("alert").wait_for()
-    assert "The file optional/benchmark.js did not arrive" in page.get_by_role("alert").inner_text()
+    assert page.locator("#missing-list p").all_inner_texts() == [
+        "The file coarse/rgba_002.png is missing from the server. Upload the whole folder of the page."
+    ]
 
 
 def test_a_page_of_one_file_says_what_it_leaves_out(page: Page, tmp_path: Path) -> None:
     write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras()[:1], tmp_path / "web", single_file=True)
     assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
     page.evaluate("location.hash = 'benchmark&frames=1'")
-    page.get_by_role("alert").wait_for()
-    assert 'without the part "benchmark"' in page.get_by_role("alert").inner_text()
+    expect(page.locator("#missing")).to_contain_text('without the part "benchmark"')
 
 
 def test_optional_code_inside_a_page_of_one_file(page: Page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, Route
 
-from scenes import make_cameras, make_snerg
+from scenes import make_cameras, make_roots, make_snerg
 from snerg.core.errors import SnergError
 from snerg.core.export import bundle
 from snerg.core.export.bundle import write_bundle
@@ -101,9 +101,10 @@ def test_the_page_says_what_it_shows(page: Page, tmp_path: Path, serve: Serve) -
     assert opened(page, serve(tmp_path / "web")) is None and poster.is_hidden()
 
 
-def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve) -> None:
-    """While the slices are on their way, the poster shows the first view, and the coarse scene every other one."""
-    scene = make_snerg(shape=(131, 122, 122))
+@pytest.mark.parametrize("make", [make_snerg, pytest.param(make_roots, marks=pytest.mark.slow)])
+def test_the_coarse_scene_comes_first(page: Page, tmp_path: Path, serve: Serve, make: Callable[..., Scene]) -> None:
+    """While the slices are on their way, the poster shows the first view, and the coarse scene every other one; of thin fog, too."""
+    scene = make(shape=(131, 122, 122))
     write_bundle(scene, make_cameras(), tmp_path / "web")
     page.route("**/scene/rgba_*.png", lambda route: None)  # not answered for now
     page.goto(serve(tmp_path / "web") + "?width=160&height=120")

@@ -64,9 +64,21 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def on_curves(path: CameraPath) -> CameraPath:
+    """The path with a curve from each key to the next, whose velocities are of all kinds, and once between opposite quaternions."""
+    random = np.random.default_rng(8)
+    curves = [(random.uniform(-0.04, 0.04, (2, 11)) * [1, 1, 1, 2, 2, 2, 0.5, 0.5, 20, 20, 1],) for _ in path.shots]
+    first, last = (replace(shot, curves=curve) for shot, curve in zip(path.shots, curves, strict=True))
+    turned = [posed((angle, 0, 0), 3.0, tuple(c.position)) for angle, c in zip((170, 190), last.cameras, strict=True)]
+    cameras = tuple(replace(c, camera_to_world=pose) for c, pose in zip(last.cameras, turned, strict=True))
+    return replace(path, shots=(first, replace(last, cameras=cameras)))
+
+
+@pytest.mark.parametrize("curves", [False, True], ids=["lines", "curves"])
 @pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), FAR], ids=["at the origin", "far from it"])
-def test_the_page_has_the_poses_of_python(at: tuple[float, float, float]) -> None:
-    data = json.loads(path_bytes(make_path(at)))
+def test_the_page_has_the_poses_of_python(at: tuple[float, float, float], curves: bool) -> None:
+    data = json.loads(path_bytes(on_curves(make_path(at)) if curves else make_path(at)))
+    assert data["version"] == 1 + curves
     path, frames = CameraPath.from_json(data), [float(frame) for frame in np.linspace(-1, 52, 107)]
     cameras = node(f"""
         import {{ CameraPath }} from "./optional/path/path";
@@ -288,7 +300,7 @@ def test_a_page_of_a_path_alone_opens_at_its_first_frame(page: Page, made: Path,
         ("path.json", "{}", "The file path.json is damaged: it is not a camera path. Export the page again."),
         (
             "path.json",
-            '{"format": "snerg-path", "version": 2}',
+            '{"format": "snerg-path", "version": 3}',
             "The file path.json is damaged: it is not a camera path. Export the page again.",
         ),
     ],
@@ -301,7 +313,9 @@ def test_what_is_missing_or_damaged_is_named(
         (tmp_path / "web" / name).unlink()
     else:
         (tmp_path / "web" / name).write_text(text)
-    assert opened(page, serve(tmp_path / "web")) == words
+    assert opened(page, serve(tmp_path / "web")) is None, "the scene is shown"
+    assert page.locator("#missing-list p").all_inner_texts() == [words]
+    assert page.locator("#path").count() == 0
 
 
 def test_damaged_keys_are_not_a_path() -> None:
@@ -315,6 +329,7 @@ def test_damaged_keys_are_not_a_path() -> None:
         ("far", 0),
         ("near", -1),
         ("distance", -1),
+        ("curve", [[0] * 11] * 2),  # of the last key
     ]
     damaged = []
     for key, value in changes:
@@ -323,7 +338,13 @@ def test_damaged_keys_are_not_a_path() -> None:
         damaged.append(other)
         with pytest.raises(SnergError):
             CameraPath.from_json(other)
-    for key, value in (("shots", []), ("fps", 0), ("end", 0), ("width", 0.5)):
+    for curve in ([[0] * 10] * 2, [[0] * 11], [[0] * 10 + [None]] * 2, 7):
+        other = json.loads(json.dumps(data))
+        other["shots"][0]["keys"][0]["curve"] = curve
+        damaged.append(other)
+        with pytest.raises(SnergError):
+            CameraPath.from_json(other)
+    for key, value in (("version", 3), ("shots", []), ("fps", 0), ("end", 0), ("width", 0.5)):
         damaged.append(data | {key: value})
         with pytest.raises(SnergError):
             CameraPath.from_json(damaged[-1])

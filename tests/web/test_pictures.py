@@ -18,6 +18,7 @@ from scenes import (
     make_forward,
     make_forward_cameras,
     make_frame,
+    make_roots,
     make_snerg,
     random_network,
     snerg_from_volume,
@@ -82,6 +83,16 @@ def test_any_place_and_size(page: Page, tmp_path: Path, serve: Serve, centre: tu
     moved = picture(page)
     assert np.abs(moved - render_scene(scene, cameras[2]).over()).mean() > 2 / 255, "the picture turns with the mouse"
     assert np.mean(moved < 0.99) > 0.1, "and the scene stays in it"
+
+
+@pytest.mark.hard_case(34, 78)
+@pytest.mark.parametrize("diffuse", [False, True], ids=["network", "diffuse"])
+def test_thin_fog(page: Page, tmp_path: Path, serve: Serve, diffuse: bool) -> None:
+    """Square roots are squared before they are interpolated, on the page as in the marcher."""
+    scene = make_roots((44, 40, 57), angles=TURNED, diffuse=diffuse)
+    write_bundle(scene, make_cameras(), tmp_path / "web")
+    for index in (0, 2):
+        compare(page, serve(tmp_path / "web"), scene, make_cameras()[index], index)
 
 
 @pytest.fixture(scope="module")

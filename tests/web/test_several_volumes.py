@@ -226,6 +226,7 @@ def compare(shown: np.ndarray, expected: np.ndarray) -> None:
     assert np.mean(difference.max(axis=-1) < 3 / 255) > 0.997, "but where half of the light is gone at one sample or at the next"
 
 
+@pytest.mark.hard_case(76)
 @pytest.mark.parametrize("name", cases())
 def test_volumes_and_meshes(page: Page, example: Path, tmp_path: Path, serve: Serve, name: str) -> None:
     camera, volumes, quads = cases()[name]

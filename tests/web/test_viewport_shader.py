@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Page
 
 from oracle import dense_march, trilinear
-from scenes import looking, make_cameras, make_snerg, snerg_from_volume
+from scenes import looking, make_cameras, make_roots, make_snerg, snerg_from_volume
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.camera import Camera
 from snerg.core.scene.scene import Scene
@@ -146,6 +146,7 @@ SCENES = {
             for n, f in ((1.5, 9.0), (0.0, 2.6))
         ],
     ),
+    "thin fog": (make_roots(shape=(34, 30, 40), **TURNED), make_cameras((0.1, 0.2, 0.3), width=60, height=45)[1:4]),
     "stray": (stray(), [Camera(60, 60, (70.0, 70.0), (30, 30), AROUND[0])]),
 }
 

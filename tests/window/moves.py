@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 import urllib.request
 from importlib import import_module
 from pathlib import Path
@@ -34,8 +35,9 @@ def camera_move(window: Window, baked: str) -> Walk:
     yield from window.wait(0.5)
     window.seen["moving"] = window.texts("export")
     yield from window.picture("moving")
+    yield from stop_counting(window)
     yield from press(window, "snerg.count_keyframes")
-    yield from window.until(lambda: any("keyframe" in text for text in window.texts("export")), 20)
+    yield from window.until(lambda: any("keyframes, " in text for text in window.texts("export")), 20)
     window.seen["counted"], window.seen["frame"] = window.texts("export"), scene.frame_current
     yield from window.picture("counted")
     yield from press(window, "snerg.export_web")
@@ -47,7 +49,26 @@ def camera_move(window: Window, baked: str) -> Walk:
     window.seen["path"] = json.loads((web / "path.json").read_text())
     window.operator("open_page")
     address = import_module("bl_ext.user_default.snerg_addon.snerg_addon.page_server").address_of(web)
-    window.seen["script"] = urllib.request.urlopen(f"{address}path.js").read(200).decode()
+    window.seen["script"] = urllib.request.urlopen(f"{address}optional/path.js").read(200).decode()
+
+
+def stop_counting(window: Window) -> Walk:
+    """Esc while frames are evaluated, of which a driver makes each slow."""
+    scene = window.window.scene
+    bpy.app.driver_namespace["slow"] = lambda: time.sleep(0.1) or 0.0
+    scene.camera.driver_add("delta_location", 0).driver.expression = "slow() + 0 * frame"
+    running = lambda: [operator.bl_idname for operator in window.window.modal_operators]  # noqa: E731
+    yield from press(window, "snerg.count_keyframes")
+    window.seen["counting"] = yield from window.until(running, 20)
+    yield from window.wait(1.0)
+    yield from window.picture("counting")
+    began = time.monotonic()
+    yield from window.press("ESC")
+    yield from window.until(lambda: not running(), 20)
+    window.seen["stopped after"] = time.monotonic() - began
+    window.seen["stopped"], window.seen["stopped at"] = window.texts("export"), scene.frame_current
+    scene.camera.driver_remove("delta_location", 0)
+    yield from window.wait(0.5)
 
 
 def press(window: Window, operator: str) -> Walk:

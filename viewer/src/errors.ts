@@ -2,3 +2,6 @@
 export class ViewerError extends Error {}
 
 export const EXPORT_AGAIN = "Export the page again.";
+
+/** A scene that this device's graphics memory or driver does not hold. */
+export class TooLarge extends ViewerError {}

@@ -8,6 +8,7 @@ export type { BenchmarkOptions, BenchmarkResult } from "./optional/benchmark";
 export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./optional/path";
 export { defineElement, SnergViewerElement } from "./viewer/element";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
+export type { QualityName } from "./viewer/quality";
 export {
   asViewerError,
   type Bundle,

@@ -33,6 +33,7 @@ LENS = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")  # columns that may be m
 SPACE = "{http://www.capturingreality.com/ns/xcr/1.1#}"
 MARK = b"capturingreality.com/ns/xcr"  # in each .xmp that the program wrote
 MAX_TABLE_BYTES = 2**26  # about 200,000 cameras
+SIDECARS = "*.[xX][mM][pP]"
 BROWN = ("perspective", "brown3", "brown3t2", "brown4", "brown4t2")  # lens models of .xmp
 
 
@@ -50,18 +51,26 @@ def _is_table(file: Path) -> bool:
 
 def sidecars(path: Path) -> list[Path]:
     """The .xmp files of RealityCapture in a folder or its folder of images; none where it has no such files."""
+    folder = _sidecar_folder(path)
+    return [] if folder is None else sorted(folder.glob(SIDECARS))
+
+
+def _sidecar_folder(path: Path) -> Path | None:
+    """The folder with them, known by one of them: the panel asks at every redraw, and sorting thousands would take tens of milliseconds."""
     if not path.is_dir():
-        return []
+        return None
     for folder in (path, *(path / name for name in ("images", "input", "photos"))):
-        found = sorted(folder.glob("*.[xX][mM][pP]")) if folder.is_dir() else []
-        if found and MARK in found[0].read_bytes()[:4096]:
-            return found
-    return []
+        one = next(folder.glob(SIDECARS), None) if folder.is_dir() else None
+        if one is not None:
+            with open(one, "rb") as data:
+                if MARK in data.read(4096):
+                    return folder
+    return None
 
 
 def is_realitycapture(path: Path) -> bool:
     """Whether a path is a table of cameras of RealityCapture, or a folder with one or with its .xmp files."""
-    return find_table(path) is not None or bool(sidecars(path))
+    return find_table(path) is not None or _sidecar_folder(path) is not None
 
 
 def read_realitycapture(path: Path, options: DatasetOptions) -> Source:

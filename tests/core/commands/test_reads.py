@@ -88,7 +88,8 @@ def test_info_and_effects_read_each_image_once(command, capture, reads):
 
 def test_training_measuring_and_baking_read_each_image_once(capture, tmp_path, reads):
     pytest.importorskip("jax")
-    train_field(capture, tmp_path / "field", steps=12, seed=3)
+    small = {"samples": "4096", "family.grid.levels": "4", "family.grid.log2_size": "12", "view_dependence": "deferred"}
+    train_field(capture, tmp_path / "field", steps=12, seed=3, values=small)
     assert most(reads, "read_size") == 1 and most(reads, "read_image") == 1
     reads.clear()
     evaluate(tmp_path / "field")

@@ -15,6 +15,7 @@ from snerg.core.data.coverage import coverage, crossing, facing, median_depth, s
 from snerg.core.data.dataset import Dataset, DatasetOptions, Source, StatedBox, View
 from snerg.core.data.load import read_dataset
 from snerg.core.data.orient import orient
+from snerg.core.data.readers.transforms import read_stated_box
 from snerg.core.data.training_box import TrainingBox, together, training_box
 from snerg.core.errors import SnergError
 from snerg.core.geometry.box import Box
@@ -73,6 +74,33 @@ def test_the_measures_of_a_box():
     assert coverage(wide, [camera], points).points == 0.5 and coverage(wide, [camera], None).points is None
     assert median_depth([camera], points) == 4.5 and median_depth([camera], points[3:]) is None
     assert facing([camera], np.zeros(3)) == pytest.approx(1) and facing([camera], np.array([0, -9, 0])) == pytest.approx(-1)
+
+
+def test_rays_cross_a_box_that_is_turned():
+    """Of a turned box of three sides, in a wide picture, against points along each ray; and of rays within its faces."""
+    turn = np.eye(4)
+    turn[:3, :3], turn[:3, 3] = looking((0.4, -0.7, 0.5), (0, 0, 0))[:3, :3], (3.0, -1.0, 0.5)
+    box = replace(Box.axis_aligned([-1, -0.4, -0.2], [1, 0.4, 0.2]), box_to_world=turn)
+    camera = Camera(160, 48, (50, 50), (80, 24), looking((1.0, -5.0, 1.5), (3, -1, 0.5)))
+    across, down = (((np.arange(16) + 0.5) * n / 16).astype(int) for n in (160, 48))
+    origins, directions = camera.rays(np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2))
+    local = (origins[:, None] + directions[:, None] * np.linspace(0, 9, 900)[:, None] - turn[:3, 3]) @ turn[:3, :3]
+    inside = (np.abs(local) <= [1, 0.4, 0.2]).all(axis=-1).any(axis=-1)
+    assert crossing(box, [camera]) == pytest.approx(inside.mean(), abs=0.012) and 0.02 < inside.mean() < 0.4
+    straight = Camera(32, 32, (8, 8), (16.5, 16.5), looking((0, -4, 0), (0, 0, 0)), "orthographic")
+    eye = straight.rays(np.array([[15, 15]]))[0][0]
+    for low, high in (([eye[0], -1, -9], [9, 1, 9]), ([-9, -1, eye[2]], [9, 1, 9])):
+        assert crossing(Box.axis_aligned(low, high), [straight]) == pytest.approx(0.5, abs=0.07)
+
+
+def test_a_stated_box_that_is_no_cube_is_held(tmp_path):
+    for name, top in (
+        ("aabb", {"aabb": [[-1, -2, -0.5], [1, 2, 0.5]]}),
+        ("scene_box", {"scene_box": {"aabb": [[-1, -2, -0.5], [1, 2, 0.5]]}}),
+    ):
+        stated = read_stated_box(tmp_path / "transforms.json", {"aabb_scale": 4, **top})
+        half = 8.0 if name == "aabb" else 2.0
+        assert stated.box.size == pytest.approx([2 * half] * 3) and stated.box.contains(np.array([[0.99, 1.99, 0.49]])).all()
 
 
 def test_points_that_fill_the_pictures_give_a_box_of_their_size():

@@ -12,6 +12,7 @@ from oracle import dense_rays, trilinear
 from scenes import looking, make_snerg, snerg_from_volume
 from snerg.core.geometry.camera import Camera
 from snerg.core.rendering.acceleration import Acceleration, acceleration_of, chebyshev_distance
+from snerg.core.rendering.packet_traversal import empty_distance
 from snerg.core.rendering.ray_marcher import MarchOutput, RayMarcher
 from snerg.core.rendering.ray_queue import RayQueue
 from snerg.core.rendering.render import MarchSettings, march_rays, render_scene, tiled_pixels
@@ -85,6 +86,26 @@ def test_coarse_pixels_on_a_large_sparse_grid_lose_nothing() -> None:
         assert np.abs(skipped.colour - whole.colour).max() < 1e-6 and np.abs(skipped.depth - whole.depth).max() < 1e-3
         some = np.flatnonzero(whole.transmittance < 1)[:40]
         assert np.abs(dense_rays(scene, rays[0][some], rays[1][some], 0.0)[1] - whole.transmittance[some]).max() < 1e-4
+
+
+@pytest.mark.hard_case(33)
+def test_a_packet_stays_in_empty_bricks() -> None:
+    """The box around the rays of a packet touches no brick that holds something up to the distance that it may skip."""
+    draw = np.random.default_rng(7)
+    occupied = draw.random((14, 9, 11)) < 0.02
+    nothing = np.zeros(1, np.uint32), 4, 255.0, np.zeros(1, np.int64)
+    distance = chebyshev_distance(occupied, 255).reshape(-1)
+    acceleration = Acceleration(*nothing, distance, (14, 9, 11), np.zeros(1, np.uint8))
+    centre = draw.uniform(0, 6 * np.array(occupied.shape), (400, 3)).T.astype(np.float32)
+    direction = draw.uniform(-1, 1, (3, 400)).astype(np.float32)
+    half, growth = (draw.uniform(0, most, (3, 400)).astype(np.float32) for most in (2, 0.05))
+    reached = empty_distance(acceleration, centre, direction, half, growth, np.full(400, 40, np.float32))
+    low = 6 * np.argwhere(occupied)
+    for share in np.linspace(0, 1, 40):
+        s = share * reached
+        point, size = (centre + direction * s).T[:, None], (half + growth * s).T[:, None] - 1e-3
+        assert not ((point + size > low) & (point - size < low + 6)).all(axis=-1).any(axis=-1)[reached > 0].any()
+    assert (reached > 0).sum() > 100 and (reached >= 40).sum() > 10
 
 
 def sparse_grid(draw: np.random.Generator, shape: tuple[int, int, int], blocks: int) -> Scene:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,34 @@ def test_the_pass_is_read_as_it_is_shown(tmp_path):
     assert (abs(found.astype(int) - [137, 188, 0]) <= 1).all(), "sRGB of 0.25, 0.5 and 0, whatever alpha is"
 
 
+class Passes:
+    """A dataset of one view of two rows of three pixels whose pass is in memory."""
+
+    cameras = (Camera(3, 2, (3.0, 3.0), (1.5, 1.0), np.eye(4)),)
+
+    def __init__(self, light: np.ndarray) -> None:
+        self.light = light
+
+    def render_pass(self, index: int, name: str) -> np.ndarray:
+        assert (index, name) == (0, "diffuse")
+        return self.light
+
+
+@pytest.mark.hard_case(8, 59)
+def test_light_is_straight_srgb_in_eight_bits():
+    """Row by row; where nothing is, where a pixel is hardly covered, and above white."""
+    pytest.importorskip("jax")
+    from snerg.core.training.light import diffuse_pixels
+
+    alpha = np.array([[1.0, 0.5, 0.05], [0.25, 0.0, 1.0]])
+    straight = np.array([[[0.25, 0.5, 0.0], [0.1, 0.2, 0.3], [0.4, 0.6, 0.8]], [[0.001, 0.01, 0.9], [0.0, 0.0, 0.0], [1.5, 40.0, 1.0]]])
+    light = np.concatenate([straight * alpha[..., None], alpha[..., None]], axis=-1).astype(np.float32)
+    shown = np.clip(straight, 0, 1)
+    expected = np.where(shown <= 0.0031308, 12.92 * shown, 1.055 * shown ** (1 / 2.4) - 0.055).reshape(-1, 3) * 255
+    assert np.abs(diffuse_pixels(Passes(light)) - expected).max() < 0.51
+    assert np.abs(diffuse_pixels(Passes(straight.astype(np.float32))) - expected).max() < 0.51, "without alpha all is covered"
+
+
 def test_the_error_is_weighed_by_the_passs_share_of_the_light():
     colour = np.array([[0.5, 0.25, 0.0], [0.5, 0.5, 0.5], [0.1, 0.2, 0.3], [0.0, 0.0, 0.0]])
     diffuse = np.array([[51, 102, 0], [0, 0, 0], [255, 255, 255], [10, 20, 30]], np.uint8)
@@ -70,7 +99,8 @@ def test_the_loss_adds_the_weighted_error(tmp_path):
     prepared = prepare(dataset(tmp_path), SETTINGS, silent, None)
     batch = prepared.sampler.batch(prepared.params, 0.0).arrays
     params = jax.tree.map(jax.numpy.asarray, prepared.params)
-    losses = [float(batch_loss(replace(SETTINGS, diffuse=weight), True, params, batch)[0]) for weight in (0.0, 1.0, 3.0)]
+    weighted = (jax.jit(partial(batch_loss, replace(SETTINGS, diffuse=weight), True)) for weight in (0.0, 1.0, 3.0))
+    losses = [float(loss(params, batch)[0]) for loss in weighted]
     assert losses[1] > losses[0] + 1e-3
     assert losses[2] - losses[0] == pytest.approx(3 * (losses[1] - losses[0]), rel=1e-4)
 

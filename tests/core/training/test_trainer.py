@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 
 import jax
@@ -25,7 +24,6 @@ from snerg.core.nerf.checkpoint import read_field, read_field_and_state, write_f
 from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, MlpModelConfig, ViewNetwork, init_field
 from snerg.core.nerf.render import render_field
-from snerg.core.nerf.sampling import Domain, hull
 from snerg.core.study.metrics import psnr
 from snerg.core.training import view_dependence_test
 from snerg.core.training.config import TrainSettings
@@ -40,21 +38,7 @@ from snerg.core.training.weight_average import EVERY
 
 FAMILY = HashModelConfig(HashGrid(levels=4, coarsest=8, finest=64, features=4, log2_size=14))
 SETTINGS = TrainSettings(family=FAMILY, samples=4096, spacing=2 / 96, seconds=None, steps=40)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def carved_once() -> Iterator[None]:
-    """The hull of the same views is the same: carving it for every trainer would take most of these tests' time."""
-    known: dict[bytes, tuple[Domain, np.ndarray]] = {}
-
-    def kept(*of: object) -> tuple[Domain, np.ndarray]:
-        key = pickle.dumps(of)
-        domain, alive = known[key] if key in known else known.setdefault(key, hull(*of))
-        return domain, alive.copy()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("snerg.core.training.prepare.hull", kept)
-        yield
+pytestmark = pytest.mark.usefixtures("carved_once")
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +202,7 @@ from pathlib import Path
 from snerg.core.data.load import read_dataset
 from snerg.core.training import saving, trainer as train, view_dependence_test
 from snerg.core.nerf.checkpoint import is_field
-train.TELL_EVERY, saving.SAVE_SHARE, view_dependence_test.LEAST = 0.0, 1e9, 2
+train.TELL_EVERY, saving.SAVE_SHARE, view_dependence_test.LEAST, view_dependence_test.RECOVERY = 0.0, 1e9, 2, 0
 dataset, folder, settings = sys.argv[1:]
 def tell(fraction, what):
     print(what, flush=True)
@@ -231,6 +215,7 @@ train.train(read_dataset(Path(dataset)), pickle.loads(bytes.fromhex(settings)), 
 def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_does(views, dataset, tmp_path, monkeypatch):
     """Saving after every step, most kills fall into a save; view dependence is tried on the way."""
     monkeypatch.setattr(view_dependence_test, "LEAST", 2)
+    monkeypatch.setattr(view_dependence_test, "RECOVERY", 0)
     settings = replace(SETTINGS, steps=60)
     whole = train(views, settings, tmp_path / "whole")
     folder = tmp_path / "killed"
@@ -334,6 +319,55 @@ def test_a_diffuse_decision_leaves_a_diffuse_field(views):
     assert field.query(np.zeros((1, 3)))[2].shape == (1, 0)
     deferred = Trainer(views, replace(SETTINGS, view_dependence="deferred"))
     assert deferred.field().network is not None and not deferred.state.undecided and not deferred.prepared.rays.withheld.any()
+
+
+def on_trial(views, monkeypatch) -> Trainer:
+    """A training whose test found the scene diffuse, on its first step without view dependence."""
+    monkeypatch.setattr(view_dependence_test, "LEAST", 2)
+    monkeypatch.setattr(view_dependence_test, "RECOVERY", 0)
+    found = Decision(view_dependence_test.EFFECT, "diffuse", "So this test says.", 0.0, 0.1)
+    monkeypatch.setattr(view_dependence_test, "run", lambda *_: found)
+    trainer = Trainer(views, SETTINGS)
+    while trainer.trial is None:
+        trainer.test_view_dependence()
+        before = trainer.state
+        trainer.advance()
+    assert before.step == view_dependence_test.AT * 40
+    return trainer
+
+
+@pytest.mark.parametrize("worse", [True, False])
+def test_a_diffuse_field_that_shows_less_than_before_gives_way_to_the_deferred_one(views, monkeypatch, worse):
+    trainer = on_trial(views, monkeypatch)
+    trial, (field, arrays) = trainer.trial, trainer.checkpoint()
+    assert field.view == "deferred" and arrays["clock"][0] == 16 and trainer.state.undecided  # a save keeps what was before the trial
+    before = [np.array(a) for a in field.network]
+    while trainer.trial is not None:
+        trainer.advance()
+        if trainer.fraction() >= trial.ends:
+            error = float(trainer.errors(trial.rays).mean())
+            trainer.trial = replace(trial, before=error * (0.99 if worse else 1.01))
+        trainer.test_view_dependence()
+    assert trainer.state.step == 20 and not trainer.state.undecided and not trainer.prepared.rays.withheld.any()
+    (decision,) = [d for d in trainer.state.decisions if d.effect == view_dependence_test.EFFECT]
+    assert decision.chosen == trainer.field().view == ("deferred" if worse else "diffuse")
+    assert decision.measured == pytest.approx(0.0436 if worse else -0.0432, abs=1e-3)
+    assert decision.evidence.endswith(f"0.04 dB {'worse' if worse else 'better'} than before.")
+    if worse:
+        assert all(np.array_equal(a, b) for a, b in zip(before, trainer.field().network, strict=True))
+        trainer.advance()
+        assert trainer.state.step == 21 and not np.array_equal(before[0], trainer.field().network[0])  # and it goes on learning
+
+
+def test_short_trainings_have_no_trial(views, monkeypatch):
+    monkeypatch.setattr(view_dependence_test, "RECOVERY", 0)
+    assert on_trial(views, monkeypatch).trial is not None
+    monkeypatch.setattr(view_dependence_test, "RECOVERY", 5)  # more than a tenth of 40 steps
+    trainer = Trainer(views, SETTINGS)
+    while trainer.state.undecided:
+        trainer.advance()
+        trainer.test_view_dependence()
+    assert trainer.state.step == 16 and trainer.trial is None and trainer.state.view == "diffuse"
 
 
 def test_once_the_scene_is_found_diffuse_the_view_network_learns_nothing(views):

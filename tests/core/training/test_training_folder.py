@@ -33,8 +33,11 @@ class Stop:
             raise Cancelled("Stopped.")
 
 
+pytestmark = pytest.mark.usefixtures("carved_once")
+
+
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory, dataset):
+def finished(tmp_path_factory, dataset, carved_once):
     """A folder with a finished field, to copy."""
     folder = tmp_path_factory.mktemp("finished") / "field"
     train_field(dataset, folder, steps=6)

@@ -7,6 +7,7 @@ import { decodePng } from "./png";
 
 export const DATA_VOXELS = 30; // voxels of a macroblock along an axis
 export const CELL_VOXELS = 32; // the same with the apron of one voxel on each side, as stored in a cell of the atlas
+const ROOTS_VERSION = 4; // of the format of scenes of square roots; others are of version 3
 const CODECS = ["png", "webp", "jxl", "jpeg", "avif"]; // that browsers decode, JPEG XL not all of them
 const NETWORK_SHAPES = { weights_0: [34, 16], bias_0: [16], weights_1: [16, 16], bias_1: [16], weights_2: [16, 3], bias_2: [3] };
 
@@ -50,6 +51,7 @@ export interface SceneDescription {
   network: NetworkWeights | null; // null in a diffuse scene
   ndc: NdcFrame | null;
   fill_holes: boolean;
+  square_roots: boolean; // whether texels hold the square roots of their values: in thin fog
   blocks: Triple; // macroblocks along x, y and z
   gridToWorld: Matrix4; // the rotation's columns are the grid's axes, the position is the grid's corner
   networkFromWorld: Matrix4; // a rotation, to the axes in which the network was trained
@@ -77,9 +79,10 @@ export async function readScene(source: FileSource, name: string, signal?: Abort
   if (value === null || typeof value !== "object" || value.format !== "snerg-scene") {
     throw new ViewerError(`The file ${name} is damaged: it does not describe a SNeRG scene. ${EXPORT_AGAIN}`);
   }
-  if (value.version !== 3) {
+  if (value.version !== 3 && value.version !== ROOTS_VERSION) {
     throw new ViewerError(`The file ${name} has version ${value.version} of the format, which this viewer does not read. ${EXPORT_AGAIN}`);
   }
+  if (value.version === 3) value.square_roots = false;
   const invalid = invalidKey(value);
   if (invalid) throw new ViewerError(`The file ${name} is damaged: "${invalid}" is missing or invalid. ${EXPORT_AGAIN}`);
   return {
@@ -116,6 +119,7 @@ function invalidKey(scene: SceneDescription): string | undefined {
     network: scene.network === null || isNetwork(scene.network),
     ndc: scene.ndc === null || isNdc(scene.ndc),
     fill_holes: typeof scene.fill_holes === "boolean",
+    square_roots: typeof scene.square_roots === "boolean",
   };
   return Object.keys(valid).find((key) => !valid[key]);
 }

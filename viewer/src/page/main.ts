@@ -6,7 +6,7 @@ import { asViewerError } from "../viewer/viewer";
 
 const WRITE_DELAY = 250; // milliseconds without a change after which the address follows the view
 
-/** The options in the address: ?camera=NAME_OR_INDEX&background=black&width=W&height=H&ui=none. Those after # take precedence. */
+/** The options in the address: ?camera=NAME_OR_INDEX&background=black&quality=full&width=W&height=H&ui=none. Those after # take precedence. */
 function addressOptions(): URLSearchParams {
   const values = new URLSearchParams(location.search);
   new URLSearchParams(location.hash.slice(1)).forEach((value, key) => {
@@ -20,7 +20,7 @@ const address = addressOptions();
 /** Where the background is transparent, the page is too: what is behind its frame shows through. */
 const showThrough = () => document.documentElement.classList.toggle("clear", element.background === TRANSPARENT);
 
-for (const key of ["camera", "background", "width", "height", "ui"]) {
+for (const key of ["camera", "background", "quality", "width", "height", "ui"]) {
   const value = address.get(key);
   if (value !== null) element.setAttribute(key, value);
 }
@@ -72,7 +72,7 @@ const measureAddressed = () => {
   const kind = address.get("benchmark");
   if (kind === null || element.problem !== null) return;
   const keep = (result: unknown) => Object.assign(hook, { benchmark: result });
-  element.benchmark(kind, Number(address.get("frames")) || undefined).then(keep, (error) => element.fail(asViewerError(error)));
+  element.benchmark(kind, Number(address.get("frames")) || undefined).then(keep, (error) => element.report(asViewerError(error)));
 };
 measureAddressed();
 window.addEventListener("hashchange", ({ oldURL }) => !new URL(oldURL).hash.includes("benchmark") && measureAddressed());

@@ -25,6 +25,7 @@ export class Announcer {
   private told = ""; // of the view
   private part = 0; // of PARTS
   private timer = 0;
+  private notice: string | null = null;
 
   constructor(
     private readonly region: HTMLElement,
@@ -41,9 +42,13 @@ export class Announcer {
       this.timer = window.setTimeout(() => this.sayView(), AFTER);
     });
     viewer.on("mode", (mode) => this.say(MODES[mode]));
+    viewer.on("notice", (text) => {
+      this.notice = text;
+      if (text) this.say(text);
+    });
     viewer.on("said", (text) => this.say(text));
     viewer.ready.then(
-      () => this.say(`The whole scene is shown. ${this.view}`),
+      () => this.say(`${this.notice ?? "The whole scene is shown."} ${this.view}`),
       () => {}, // the alert says it
     );
   }

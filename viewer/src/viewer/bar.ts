@@ -1,6 +1,7 @@
 // The bar below the picture: cameras, sharing, pictures, full screen, help, and the keys for them.
 import type { Backgrounds } from "./backgrounds";
 import { Gallery, labelOf } from "./gallery";
+import type { QualityChoice } from "./quality_choice";
 import { type SharedView, writeView } from "./shared_view";
 import { steer } from "./steering";
 import { findCamera, type Viewer } from "./viewer";
@@ -18,6 +19,7 @@ export class Bar {
     private readonly root: ShadowRoot,
     private readonly viewer: Viewer,
     private readonly backgrounds: Backgrounds,
+    private readonly quality: QualityChoice,
     private readonly choose: (index: number, duration: number) => void,
   ) {
     this.fillCameras();
@@ -50,13 +52,15 @@ export class Bar {
   get view(): SharedView {
     const { camera, atCamera, cameraToWorld, zoom, path } = this.viewer.state;
     const background = this.backgrounds.chosen ? this.backgrounds.current : null;
-    if (path?.shown) return { camera: null, background, pose: null, zoom: 1, frame: path.frame };
-    return { camera: camera || null, background, pose: atCamera ? null : cameraToWorld, zoom: atCamera ? 1 : zoom, frame: null };
+    const quality = this.quality.written;
+    if (path?.shown) return { camera: null, background, quality, pose: null, zoom: 1, frame: path.frame };
+    return { camera: camera || null, background, quality, pose: atCamera ? null : cameraToWorld, zoom: atCamera ? 1 : zoom, frame: null };
   }
 
   /** Show what a link says; what it does not say stays. */
   show(view: SharedView): void {
     if (view.background) this.backgrounds.show(view.background);
+    if (view.quality) this.quality.show(view.quality);
     const index = findCamera(this.viewer.cameras, view.camera);
     if (index >= 0) this.choose(index, view.pose || view.frame !== null ? 0 : FLIGHT);
     if (view.frame !== null) this.viewer.path?.seek(view.frame);

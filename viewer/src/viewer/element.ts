@@ -8,6 +8,9 @@ import { colourOf } from "./backdrop";
 import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
 import { MODES } from "./navigation";
+import { qualityOf } from "./quality";
+import { QualityChoice } from "./quality_choice";
+import { Shortcuts } from "./shortcuts";
 import style from "./style.css";
 import template from "./template.html";
 import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
@@ -27,6 +30,7 @@ const FLIGHT = 1.2; // seconds to the camera of an annotation
  *   distance    "MIN MAX": how near and far one may orbit, in units of the scene, from the point that is looked at
  *   elevation   "MIN MAX": how low and high one may orbit, in degrees above the horizon
  *   play        where there, the camera path plays as soon as the scene is there, but not for people who asked for less motion
+ *   quality     phone, balanced or full: how fine the picture is, and how much memory the scene may take; without it, what suits the device
  *   ui          "none": without the bar
  *   width, height  of the picture in CSS pixels; else it fills the element
  *
@@ -44,6 +48,7 @@ export class SnergViewerElement extends HTMLElement {
   private pathBar: PathBar | null = null;
   private leaving = new AbortController(); // tells the optional code that the viewer is closed
   private backgrounds: Backgrounds | null = null;
+  private shortcuts: Shortcuts | null = null;
   private settle!: (shown: boolean) => void;
   private readonly root = this.attachShadow({ mode: "open" });
 
@@ -62,6 +67,11 @@ export class SnergViewerElement extends HTMLElement {
     sheet.replaceSync(style);
     this.root.adoptedStyleSheets = [sheet];
     this.find("reload").onclick = () => location.reload();
+    this.find("close-missing").onclick = () => {
+      this.find("missing-list").replaceChildren();
+      this.find("close-missing").hidden = true;
+    };
+    this.shortcuts = new Shortcuts(this.find<HTMLInputElement>("shortcuts"));
     const poster = this.getAttribute("poster");
     if (poster) this.showPoster(poster);
     try {
@@ -93,6 +103,14 @@ export class SnergViewerElement extends HTMLElement {
     this.find("problem-text").textContent = error.message;
     this.dispatchEvent(new CustomEvent("error", { detail: error.message }));
     this.settle(false);
+  }
+
+  /** Say beside the scene what is missing from it. */
+  report(error: ViewerError): void {
+    const list = this.find("missing-list");
+    if ([...list.children].some((line) => line.textContent === error.message)) return;
+    list.append(Object.assign(document.createElement("p"), { textContent: error.message }));
+    this.find("close-missing").hidden = false;
   }
 
   /** Show the camera of that name or number, as its entry in the list does. duration: seconds of a flight there. */
@@ -136,6 +154,7 @@ export class SnergViewerElement extends HTMLElement {
       background: colourOf(background) ?? (backdrop ? [0, 0, 0, 0] : [1, 1, 1, 1]),
       size,
       play: this.hasAttribute("play"),
+      quality: qualityOf(this.getAttribute("quality")),
       covered: () => !this.find("poster").hidden,
       limits: { distance: this.pair("distance"), elevation: this.pair("elevation") },
     });
@@ -148,6 +167,8 @@ export class SnergViewerElement extends HTMLElement {
     this.backgrounds = new Backgrounds(stage, this.root, viewer, backdrop, () => this.dispatchEvent(new CustomEvent("view")));
     const { backgrounds } = this;
     backgrounds.show(background);
+    const quality = new QualityChoice(this.find("quality"), viewer, () => this.dispatchEvent(new CustomEvent("view")));
+    quality.show(this.getAttribute("quality"));
     if (backdrop) {
       backdrop.onerror = () => {
         announcer.say("The background picture did not arrive.");
@@ -155,6 +176,7 @@ export class SnergViewerElement extends HTMLElement {
       };
     }
     viewer.on("error", (error) => this.fail(error));
+    viewer.on("missing", (error) => this.report(error));
     viewer.on("progress", ({ slices, totalSlices, bytes }) => {
       this.find<HTMLProgressElement>("loading-bar").value = slices / totalSlices;
       const about = (bytes / slices) * totalSlices; // its slices are about equally large
@@ -170,7 +192,7 @@ export class SnergViewerElement extends HTMLElement {
       const time = milliseconds < 10 ? milliseconds.toFixed(1) : Math.round(milliseconds);
       this.find("readout").textContent = `${width} × ${height} · ${time} ms`;
       if (this.bar || this.problem) return;
-      this.bar = new Bar(this.root, viewer, backgrounds, (index, duration) => this.choose(index, duration));
+      this.bar = new Bar(this.root, viewer, backgrounds, quality, (index, duration) => this.choose(index, duration));
       viewer.mode = MODES.find((mode) => mode === this.getAttribute("mode")) ?? "orbit";
       this.find("bar").hidden = this.getAttribute("ui") === "none";
       void this.addPathBar(viewer);
@@ -180,6 +202,14 @@ export class SnergViewerElement extends HTMLElement {
     viewer.on("view", () => {
       this.bar?.showFrame();
       this.dispatchEvent(new CustomEvent("view"));
+    });
+    this.find("close-notice").onclick = () => {
+      this.find("notice").hidden = true;
+      viewer.canvas.focus();
+    };
+    viewer.on("notice", (text) => {
+      this.find("notice").hidden = text === null;
+      this.find("notice-text").textContent = text;
     });
     let hiding = 0;
     const hint = (text: string) => {
@@ -217,10 +247,7 @@ export class SnergViewerElement extends HTMLElement {
     const host = { viewer, root: this.root, stage: this.find("stage"), choose: (name: string) => this.choose(name, FLIGHT) };
     for (const name of viewer.bundle?.parts ?? []) {
       const added = loadOptional(name).then(({ attach }) => attach({ ...host, signal: this.leaving.signal }));
-      added.catch((error: unknown) => {
-        this.find("hint").textContent = asViewerError(error).message;
-        this.find("hint").hidden = false; // until another hint
-      });
+      added.catch((error: unknown) => this.report(asViewerError(error)));
     }
   }
 
@@ -239,6 +266,9 @@ export class SnergViewerElement extends HTMLElement {
     const poster = this.find<HTMLImageElement>("poster");
     poster.src = address;
     poster.hidden = false;
+    poster.onerror = () => {
+      poster.hidden = true;
+    };
     this.find("loading").classList.add("beside");
   }
 
@@ -247,6 +277,7 @@ export class SnergViewerElement extends HTMLElement {
     const origin = event.composedPath()[0];
     const typed = origin instanceof HTMLElement && origin.matches("input, select, textarea, dialog *");
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || typed) return;
+    if (origin !== this.viewer?.canvas && !this.shortcuts?.allows(event)) return;
     const onButton = origin instanceof HTMLElement && origin.matches("button");
     if (this.pathBar?.press(event.key, onButton)) return event.preventDefault();
     const key = (event.key ?? "").toLowerCase(); // null when the browser fills in a form

@@ -1,11 +1,16 @@
 // Renders a scene of three.js when it changes, and only then. A slow device (software GL) renders a draft at low resolution while the view
-// moves, then the full image in bands of rows: the page stays responsive, and no draw call exceeds a driver's time limit.
+// moves, then the full image in bands of rows: the page stays responsive, and no draw call exceeds a driver's time limit. At rest it may
+// average a few more images, which smooths edges, and then stops.
 import {
+  AddEquation,
   type Camera,
+  CustomBlending,
   GLSL3,
   LinearFilter,
   Mesh,
   NearestFilter,
+  NoBlending,
+  OneFactor,
   OrthographicCamera,
   RawShaderMaterial,
   Scene,
@@ -16,18 +21,20 @@ import {
   WebGLRenderTarget,
 } from "three";
 import { COVERING_VERTEX_SHADER, coveringTriangle } from "../volume/full_screen";
+import { DraftResolution } from "./draft_resolution";
+import { Accumulation, jitterOf, withJitter } from "./smoothing";
 
 const BUDGET = 30; // milliseconds of rendering at a time
 const STILL_AFTER = 120; // milliseconds without change before the full image is begun
-const MAX_DOWNSCALE = 8; // of a draft's width and height
 const MIN_BAND_ROWS = 8;
 const WAIT_OVERHEAD = 6; // milliseconds that waiting for the card takes by itself; not counted as rendering
 
 const COPY_SHADER = `precision highp float;
 uniform sampler2D image;
 uniform vec2 size;
+uniform float weight;
 out vec4 colour;
-void main() { colour = texture(image, gl_FragCoord.xy / size); }
+void main() { colour = weight * texture(image, gl_FragCoord.xy / size); }
 `;
 const CAMERA = new OrthographicCamera(); // three wants one; the vertex shader does not use it
 
@@ -37,6 +44,7 @@ export interface ShownImage {
   height: number;
   milliseconds: number; // that it took to render
   full: boolean; // else it is a draft
+  samples: number; // images of which it is the average; 1: each pixel is the ray through its centre
 }
 
 /** Red, green, blue and alpha in [0, 1], sRGB, not premultiplied. */
@@ -46,9 +54,12 @@ export class ProgressiveRenderer {
   frames = 0; // draw calls that are done
   background: Colour = [1, 1, 1, 1];
   private readonly gl: WebGL2RenderingContext;
-  private readonly copy: { scene: Scene; uniforms: { image: { value: unknown }; size: { value: Vector2 } } };
+  private readonly copy: FullScreen<{ image: { value: unknown }; size: { value: Vector2 }; weight: { value: number } }>;
   private readonly draft = renderTarget(LinearFilter);
   private readonly full = renderTarget(NearestFilter);
+  private readonly average: Accumulation;
+  private readonly resolution = new DraftResolution();
+  private most = 1; // images that are averaged
   private readonly image: Vector2 = new Vector2(0, 0); // the canvas's size in pixels
   private cost: number | null = null; // measured milliseconds a pixel
   private changed = false;
@@ -57,9 +68,10 @@ export class ProgressiveRenderer {
   private under = this.draft; // what the other rows show
   private spent = 0; // milliseconds on the full image so far
   private sync: WebGLSync | null = null;
-  private drawn = { pixels: 1, since: 0, full: false, width: 0, height: 0 };
+  private drawn = { pixels: 1, since: 0, target: this.draft };
   private waiting: (() => void)[] = []; // resolve functions of `settled`
   private scheduled = false;
+  private timer = 0; // of a `tick` that is to come after a delay; 0 where it comes with the next animation frame
   private stopped = false;
   private paused = false;
 
@@ -71,7 +83,8 @@ export class ProgressiveRenderer {
     private readonly onImage: (image: ShownImage) => void,
   ) {
     this.gl = renderer.getContext() as WebGL2RenderingContext;
-    this.copy = fullScreen(COPY_SHADER, { image: { value: null }, size: { value: new Vector2() } });
+    this.copy = fullScreen(COPY_SHADER, { image: { value: null }, size: { value: new Vector2() }, weight: { value: 1 } });
+    this.average = new Accumulation(this.gl);
   }
 
   /** The canvas's size in pixels. */
@@ -81,6 +94,18 @@ export class ProgressiveRenderer {
     this.renderer.setSize(width, height, false);
     this.full.setSize(width, height);
     this.change();
+  }
+
+  /** How many images to average when nothing moves, at most; 1 for the ray through each pixel's centre alone. */
+  get samples(): number {
+    return this.most;
+  }
+
+  set samples(most: number) {
+    if (most === this.most) return;
+    this.most = most;
+    if (this.average.count) this.change();
+    else this.schedule(0);
   }
 
   /** Render again: the view, the scene or the background has changed. */
@@ -96,10 +121,11 @@ export class ProgressiveRenderer {
     if (this.rows >= this.image.y) this.under = this.full;
     this.rows = 0;
     this.spent = 0;
+    this.average.reset();
     this.schedule(0);
   }
 
-  /** Resolves when the page shows the full image of the current view. */
+  /** Resolves when the page shows the full image of the current view, with smooth edges where they are wanted and the device affords them. */
   settled(): Promise<void> {
     return new Promise((resolve) => {
       this.waiting.push(resolve);
@@ -121,8 +147,7 @@ export class ProgressiveRenderer {
 
   dispose(): void {
     this.stopped = true;
-    this.draft.dispose();
-    this.full.dispose();
+    for (const target of [this.draft, this.full, this.average]) target.dispose();
   }
 
   /** The whole image at any size, as its pixels from the top left corner: red, green, blue and alpha, not premultiplied. */
@@ -143,15 +168,18 @@ export class ProgressiveRenderer {
     return pixels;
   }
 
-  /** Call `tick` at the next animation frame, or after `delay` milliseconds if above 0. */
+  /** Call `tick` at the next animation frame, or after `delay` milliseconds if above 0. An animation frame takes the place of a delay. */
   private schedule(delay: number): void {
-    if (this.scheduled) return;
+    if (this.scheduled && (delay > 0 || !this.timer)) return;
+    clearTimeout(this.timer);
+    this.timer = 0;
     this.scheduled = true;
     const run = () => {
       this.scheduled = false;
+      this.timer = 0;
       this.tick();
     };
-    if (delay > 0) setTimeout(run, delay);
+    if (delay > 0) this.timer = window.setTimeout(run, delay);
     else requestAnimationFrame(run);
   }
 
@@ -160,9 +188,11 @@ export class ProgressiveRenderer {
     if (this.stopped || this.paused || !this.image.x || this.gl.isContextLost()) return;
     if (this.sync && !this.finished(this.sync)) return this.schedule(2);
     if (this.changed) return this.begin();
-    if (this.rows < this.image.y) {
-      const wait = this.changedAt + STILL_AFTER - performance.now();
-      return this.frames > 0 && wait > 0 ? this.schedule(wait) : this.renderBand();
+    const wait = this.changedAt + STILL_AFTER - performance.now();
+    const whole = this.rows >= this.image.y;
+    if (!whole || !this.average.done(this.most)) {
+      if (this.frames > 0 && wait > 0) return this.schedule(wait);
+      return whole ? this.smooth() : this.renderBand();
     }
     for (const resolve of this.waiting.splice(0)) resolve();
   }
@@ -174,10 +204,9 @@ export class ProgressiveRenderer {
     this.under = this.draft;
     this.rows = 0;
     this.spent = 0;
-    const affordable = this.cost === null ? 0 : BUDGET / (this.cost * width * height);
-    if (affordable >= 0.8) return this.renderBand(height);
-    // Scales are powers of the square root of 2, so that the draft's texture is seldom allocated again.
-    const scale = 2 ** Math.max(-Math.log2(MAX_DOWNSCALE), Math.floor(Math.log2(affordable || 1e-9)) / 2);
+    this.average.reset();
+    const scale = this.resolution.next(this.cost, width * height);
+    if (scale === 1) return this.renderBand(height);
     const [w, h] = [Math.max(1, Math.round(width * scale)), Math.max(1, Math.round(height * scale))];
     if (this.draft.width !== w || this.draft.height !== h) this.draft.setSize(w, h);
     this.draw(this.draft, 0, h);
@@ -185,20 +214,56 @@ export class ProgressiveRenderer {
   }
 
   /** Render the next rows of the full image, at most `maxRows`: by default as many as the budget allows. */
-  private renderBand(maxRows = Math.floor(BUDGET / ((this.cost as number) * this.image.x))): void {
+  private renderBand(maxRows?: number): void {
     const height = this.image.y;
-    const rows = Math.min(height - this.rows, Math.max(MIN_BAND_ROWS, maxRows));
+    const rows = this.bandAfter(this.rows, maxRows);
     this.draw(this.full, this.rows, rows);
     if (this.rows > 0 || rows < height) this.show(this.under, this.rows + rows, height - this.rows - rows);
     this.rows += rows;
     this.show(this.full, 0, this.rows);
   }
 
+  /** How many rows to render after the first `done` ones: as many as the budget allows, or at most `maxRows`. */
+  private bandAfter(done: number, maxRows = Math.floor(BUDGET / ((this.cost as number) * this.image.x))): number {
+    return Math.min(this.image.y - done, Math.max(MIN_BAND_ROWS, maxRows));
+  }
+
+  /** Render the next rows of the next image of the average. The page shows the average when it has all images: it changes once. */
+  private smooth(): void {
+    const { average } = this;
+    const [width, height] = this.image;
+    if (!average.count) {
+      average.begin(this.most, this.spent, width, height);
+      return this.schedule(0);
+    }
+    const rows = this.bandAfter(average.rows);
+    const jitter = jitterOf(average.taken, average.count);
+    withJitter(this.camera, jitter, width, height, () => this.draw(average.sample, average.rows, rows));
+    average.rows += rows;
+    if (average.rows < height) return;
+    this.add(average.sample, average.sum, 1 / average.count, average.taken === 0);
+    average.rows = 0;
+    average.taken++;
+  }
+
+  /** Add a weight times a target to another of the same size, or put it in its place. */
+  private add(from: WebGLRenderTarget, to: WebGLRenderTarget, weight: number, replace: boolean): void {
+    const { scene, material, uniforms } = this.copy;
+    uniforms.image.value = from.texture;
+    uniforms.size.value.set(to.width, to.height);
+    uniforms.weight.value = weight;
+    material.blending = replace ? NoBlending : CustomBlending;
+    this.renderer.setRenderTarget(to);
+    this.renderer.render(scene, CAMERA);
+    this.renderer.setRenderTarget(null);
+    uniforms.weight.value = 1;
+    material.blending = NoBlending;
+  }
+
   /** Render rows of a target, and ask the card to tell when it is done. */
   private draw(target: WebGLRenderTarget, top: number, rows: number): void {
     this.render(target, top, rows, this.background);
-    const { width, height } = target;
-    this.drawn = { pixels: width * rows, since: performance.now(), full: target === this.full, width, height };
+    this.drawn = { pixels: target.width * rows, since: performance.now(), target };
     this.sync = this.gl.fenceSync(this.gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     this.gl.flush();
     this.schedule(2);
@@ -235,27 +300,45 @@ export class ProgressiveRenderer {
     if (this.gl.clientWaitSync(sync, 0, 0) === this.gl.TIMEOUT_EXPIRED) return false;
     this.gl.deleteSync(sync);
     this.sync = null;
-    const { pixels, since, full, width, height } = this.drawn;
+    const { pixels, since, target } = this.drawn;
     const elapsed = performance.now() - since;
     this.spent += elapsed;
     const cost = Math.max(elapsed - WAIT_OVERHEAD, 0.2) / pixels;
     this.cost = this.cost === null || cost < this.cost ? cost : 0.5 * (this.cost + cost);
     this.frames++;
-    const whole = full && this.rows >= this.image.y;
-    if (!full || whole) this.onImage({ width, height, milliseconds: full ? this.spent : elapsed, full });
+    this.report(target, elapsed);
     this.schedule(0);
     return true;
   }
+
+  /** Tell which image is on the page, now that a draw call to a target is done, and show an average that has all its images. */
+  private report(target: WebGLRenderTarget, elapsed: number): void {
+    const { average } = this;
+    const { width, height } = target;
+    if (target === this.draft) return this.onImage({ width, height, milliseconds: elapsed, full: false, samples: 1 });
+    if (target === this.full ? this.rows < height : average.taken < average.count) return;
+    const samples = target === this.full ? 1 : average.count;
+    if (samples > 1) this.show(average.sum, 0, height);
+    this.onImage({ width, height, milliseconds: this.spent, full: true, samples });
+  }
 }
 
-/** A triangle that covers the image, with a fragment shader. */
-function fullScreen<T extends Record<string, { value: unknown }>>(fragmentShader: string, uniforms: T): { scene: Scene; uniforms: T } {
+interface FullScreen<T> {
+  scene: Scene;
+  material: RawShaderMaterial;
+  uniforms: T;
+}
+
+/** A triangle that covers the image, with a fragment shader. Where its material blends, it adds. */
+function fullScreen<T extends Record<string, { value: unknown }>>(fragmentShader: string, uniforms: T): FullScreen<T> {
   const settings = { glslVersion: GLSL3, vertexShader: COVERING_VERTEX_SHADER, depthTest: false, depthWrite: false } as const;
-  const mesh = new Mesh(coveringTriangle(), new RawShaderMaterial({ ...settings, fragmentShader, uniforms }));
+  const adding = { blending: NoBlending, blendEquation: AddEquation, blendSrc: OneFactor, blendDst: OneFactor } as const;
+  const material = new RawShaderMaterial({ ...settings, ...adding, fragmentShader, uniforms });
+  const mesh = new Mesh(coveringTriangle(), material);
   mesh.frustumCulled = false;
   const scene = new Scene();
   scene.add(mesh);
-  return { scene, uniforms };
+  return { scene, material, uniforms };
 }
 
 function renderTarget(filter: TextureFilter): WebGLRenderTarget {

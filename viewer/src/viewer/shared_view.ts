@@ -2,12 +2,14 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 import { matrixOfRows } from "../data/scene";
 import { colourOf } from "./backdrop";
+import { AUTOMATIC, qualityOf } from "./quality";
 
 const DIGITS = 10; // of each number: a thousandth of a pixel, also far from the world's origin
 
 export interface SharedView {
   camera: string | null; // the name of the camera that the view began from
   background: string | null; // as `colourOf` knows it
+  quality: string | null; // a preset, or AUTOMATIC
   pose: number[][] | null; // camera-to-world, four rows; null for the camera's own
   zoom: number; // of an orthographic camera
   frame: number | null; // of the camera path, where the view is its
@@ -17,6 +19,7 @@ export interface SharedView {
 export function writeView(parameters: URLSearchParams, view: SharedView): URLSearchParams {
   if (view.camera !== null) parameters.set("camera", view.camera);
   if (view.background !== null) parameters.set("background", view.background);
+  if (view.quality !== null) parameters.set("quality", view.quality);
   if (view.pose === null) parameters.delete("view");
   else parameters.set("view", numbersOf(view.pose).map(short).join(","));
   if (view.frame === null) parameters.delete("frame");
@@ -29,11 +32,13 @@ export function writeView(parameters: URLSearchParams, view: SharedView): URLSea
 /** The view in the parameters of an address; what is missing or damaged is null there. */
 export function readView(parameters: URLSearchParams): SharedView {
   const background = parameters.get("background");
+  const quality = parameters.get("quality");
   const frame = Number.parseFloat(parameters.get("frame") ?? "");
   const zoom = Number(parameters.get("zoom") ?? 1);
   return {
     camera: parameters.get("camera"),
     background: background !== null && colourOf(background) ? background : null,
+    quality: quality === AUTOMATIC || qualityOf(quality) ? quality : null,
     pose: poseOf((parameters.get("view") ?? "").split(",").map(Number)),
     zoom: zoom > 0 && Number.isFinite(zoom) ? zoom : 1,
     frame: Number.isFinite(frame) ? frame : null,

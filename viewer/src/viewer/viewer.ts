@@ -4,7 +4,7 @@ import { type LayerOrder, type PartName, readCameras, type SnergCamera, type Wor
 import { EmbeddedFiles, type FileSource, readJson, ServerFiles, sourceOf } from "../data/files";
 import { matrixOfRows } from "../data/scene";
 import { type LoadProgress, SnergScene } from "../data/snerg_scene";
-import { EXPORT_AGAIN, ViewerError } from "../errors";
+import { EXPORT_AGAIN, TooLarge, ViewerError } from "../errors";
 import { loadOptional } from "../load_optional";
 import type { BenchmarkOptions, BenchmarkResult } from "../optional/benchmark";
 import type { CameraPath, PathCamera, PathPlayer, PathState } from "../optional/path";
@@ -13,13 +13,14 @@ import { drawCovering } from "./backdrop";
 import { between, eased, wantsLessMotion } from "./flight";
 import { type Mode, Navigation } from "./navigation";
 import { type Colour, ProgressiveRenderer, type ShownImage } from "./progressive_renderer";
+import { PRESETS, pixelRatioOf, presetFor, type QualityName, readDevice, tooMuchFor } from "./quality";
 import type { OrbitLimits } from "./rig";
 import { rowsOf } from "./shared_view";
 import { View } from "./view";
 
-const MAX_PIXEL_RATIO = 2; // device pixels a CSS pixel at most: bounds the number of rays on fine displays
 const NO_WEBGL =
   "This browser offers no WebGL 2, which renders the scene. Switch on graphics acceleration in its settings, or use a newer browser.";
+const TOO_LARGE = "this device's graphics memory or driver does not hold the whole";
 const LOST = "The graphics driver was reset and the scene was lost from its memory. Reload the page.";
 
 export interface ViewerOptions {
@@ -33,6 +34,8 @@ export interface ViewerOptions {
   limits?: OrbitLimits;
   /** Play the camera path, if there is one, as soon as the scene is there; not for people who asked for less motion. */
   play?: boolean;
+  /** How much the device is asked for; without it, what suits the device. */
+  quality?: QualityName | null;
   signal?: AbortSignal;
   /** Whether something lies over the canvas, such as a poster, so that unfinished pictures need not be drawn. */
   covered?: () => boolean;
@@ -44,7 +47,10 @@ export interface ViewerEvents {
   view: ViewerState;
   path: PathState; // somebody plays, stops or moves along the camera path
   error: ViewerError;
+  missing: ViewerError; // of an optional file, which is missing or damaged: the scene is shown without it
   mode: Mode;
+  quality: QualityName; // another preset is in force
+  notice: string | null; // a sentence on why the scene is shown at a quarter of its resolution; null when it no longer is
   said: string; // something that the page should say in words, as the speed of a flight
   scroll: undefined; // somebody turned the wheel without Ctrl inside the frame of another page
 }
@@ -60,7 +66,7 @@ export interface ViewerState {
 }
 
 export interface Viewer {
-  /** Resolves when the whole scene is on the card; rejects with a ViewerError. */
+  /** Resolves when the scene is on the card, all of it that the quality and the device hold; rejects with a ViewerError. */
   ready: Promise<void>;
   readonly cameras: readonly SnergCamera[];
   readonly state: ViewerState;
@@ -70,6 +76,9 @@ export interface Viewer {
   background: Colour;
   /** A picture that the page shows behind the canvas, which saved pictures have behind the scene. */
   backdrop: HTMLImageElement | null;
+  /** The preset that is in force. Set null to let the device choose. */
+  get quality(): QualityName;
+  set quality(name: QualityName | null);
   on<Name extends keyof ViewerEvents>(name: Name, listener: (event: ViewerEvents[Name]) => void): () => void;
   /** Show a camera, by its name or number; without one, the whole scene. duration: seconds of a flight there. */
   goTo(camera?: string | number, options?: { duration?: number }): Promise<void>;
@@ -90,7 +99,7 @@ export interface Viewer {
   drive(right: number, up: number, forward: number): void;
   /** Take a key that was pressed; returns whether it means something. */
   press(event: KeyboardEvent): boolean;
-  /** Resolves when the page shows the full image of the view. */
+  /** Resolves when the page shows the full image of the view, with smooth edges where the quality has them. */
   settled(): Promise<void>;
   /** The picture as a PNG. alpha: without the background. */
   capture(options?: { width?: number; height?: number; alpha?: boolean }): Promise<Blob>;
@@ -154,12 +163,16 @@ class CanvasViewer implements Viewer {
   private navigation: Navigation | null = null;
   private volume: SnergVolume | null = null;
   private scene: SnergScene | null = null;
-  private coarse: SnergScene | null = null; // shown first, and where the scene has not arrived
+  private coarse: SnergScene | null = null; // shown first, where the scene has not arrived, and where the whole is too large
   private layers: LayerOrder | null = null;
-  private whole = false; // whether all of the scene is there
+  private whole = false; // whether all of the scene is there, or of the coarse one in its place
   private fine = false; // whether all is there that the first camera sees
   private growing: SnergVolume | null = null;
   private grown = false; // since the picture was begun
+  private chosen: QualityName | null; // null: the device chooses
+  private readonly suggested: QualityName;
+  private unfit = false; // whether the device turned out not to hold the whole scene
+  private filling: Promise<void> = Promise.resolve(); // one after another
   private refining = false; // whether `refine` waits for a picture
   private losses = 0; // of the graphics context
   private flight = 0; // counts flights, so that a new one ends the one before
@@ -178,6 +191,8 @@ class CanvasViewer implements Viewer {
     this.canvas = document.createElement("canvas");
     this.canvas.tabIndex = 0;
     this.webgl = makeRenderer(this.canvas, (error) => this.fail(error));
+    this.chosen = options.quality ?? null;
+    this.suggested = presetFor(readDevice(this.webgl.getContext() as WebGL2RenderingContext));
     container.append(this.canvas);
     options.signal?.addEventListener("abort", () => this.destroy(), { once: true });
     this.canvas.addEventListener("webglcontextlost", (event) => this.lose(event));
@@ -199,29 +214,77 @@ class CanvasViewer implements Viewer {
     this.cameras = cameras;
     this.bundle = { parts, units, read: (name, stop) => source.read(name, stop ?? signal) };
     this.scene = scene;
-    if (path) this.makePlayer = await readPath(source, signal);
+    const leaveOut = (error: unknown) => this.leaveOut(error);
+    if (path) this.makePlayer = await readPath(source, signal).catch(leaveOut);
     this.layers = layers;
-    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true });
-    await this.fill(scene);
-    this.coarse = null; // frees its texels
+    if (coarse) this.coarse = await SnergScene.load(source, { folder: "coarse/", signal, keep: true }).catch(leaveOut);
+    this.filling = this.fill(scene);
+    await this.filling;
     await this.renderer?.settled();
+    this.follow(); // it may be smoothed from now on
     if (this.options.play && !wantsLessMotion()) this.play();
   }
 
-  /** Show the scene: first the coarse one, then one that grows. Begins again where the graphics context is lost meanwhile. */
-  private async fill(scene: SnergScene): Promise<void> {
-    const losses = this.losses;
+  /** An optional file is missing or damaged: say so, and go on without it. Throws when the viewer is closed. */
+  private leaveOut(error: unknown): null {
+    if (this.abort.signal.aborted) throw error;
+    this.emit("missing", asViewerError(error));
+    return null;
+  }
+
+  /**
+   * Show the scene: first the coarse one, then one that grows, unless it is too large. Begins again where the graphics context is lost
+   * meanwhile; where that happens a second time, the scene is taken to be too large.
+   */
+  private async fill(scene: SnergScene, lostBefore = 0): Promise<void> {
+    const { losses } = this;
+    const { order, seen } = this.layers ?? {};
     try {
-      if (this.coarse) await this.show(this.coarse);
-      const { order, seen } = this.layers ?? {};
-      await this.show(scene, { coarse: this.coarse ?? undefined, wanted: this.uncovered(), order, enough: seen });
+      if (this.coarse && (lostBefore || this.volume?.source !== this.coarse)) await this.showCoarse(this.coarse, losses);
+      if (!this.tooLarge) await this.show(scene, { coarse: this.coarse ?? undefined, wanted: this.uncovered(), order, enough: seen });
     } catch (error) {
-      if (losses === this.losses || this.abort.signal.aborted) throw error;
-      await this.restored();
-      return this.fill(scene);
+      if (this.abort.signal.aborted) throw error;
+      const lost = losses === this.losses ? 0 : 1;
+      if (!lost && !(this.coarse && error instanceof TooLarge && !this.unfit)) throw error;
+      this.unfit ||= !lost || lostBefore > 0;
+      if (lost) await this.restored();
+      return this.fill(scene, lostBefore + lost);
     }
     this.whole = this.fine = true;
+    this.notify(this.tooLarge);
     this.renderer?.refine();
+  }
+
+  /** Show the coarse scene; without it one waits longer for the picture. losses: of the graphics context, when it began. */
+  private async showCoarse(coarse: SnergScene, losses: number): Promise<void> {
+    try {
+      await this.show(coarse);
+    } catch (error) {
+      if (losses !== this.losses) throw error;
+      this.coarse = this.leaveOut(error);
+    }
+  }
+
+  /** Why the coarse scene is shown in place of the whole one, or null. A scene without a coarse one is shown whole. */
+  private get tooLarge(): string | null {
+    if (!this.scene || !this.coarse) return null;
+    return this.unfit ? TOO_LARGE : tooMuchFor(this.quality, this.scene.description);
+  }
+
+  private notify(reason: string | null): void {
+    this.emit("notice", reason && `The scene is shown at a quarter of its resolution: ${reason}.`);
+  }
+
+  /** After a change of the quality: show the whole scene where it now fits, else the coarse one. */
+  private async fit(): Promise<void> {
+    const { scene, coarse, volume } = this;
+    const wanted = this.tooLarge ? coarse : scene;
+    if (!scene || !coarse || !volume) return;
+    if (volume.source === wanted) return this.notify(this.tooLarge);
+    this.whole = this.fine = false;
+    this.follow();
+    await this.fill(scene);
+    this.follow();
   }
 
   /** Show a scene in place of the one before, as soon as there is something of it on the card. */
@@ -250,7 +313,7 @@ class CanvasViewer implements Viewer {
       this.volume = volume;
       this.world.add(volume);
       if (!this.renderer) this.begin(volume.source);
-      else if (!this.coarse) this.renderer.change();
+      else if (!this.coarse || this.whole) this.renderer.change();
     }
     const seen = this.layers?.seen ?? Number.POSITIVE_INFINITY;
     if (this.fine || volume.source !== this.scene || volume.layersArrived < seen) return void this.refine();
@@ -321,6 +384,25 @@ class CanvasViewer implements Viewer {
     if (!this.renderer) return;
     this.renderer.background = colour;
     this.renderer.change();
+  }
+
+  get quality(): QualityName {
+    return this.chosen ?? this.suggested;
+  }
+
+  set quality(name: QualityName | null) {
+    const before = this.quality;
+    this.chosen = name;
+    this.follow();
+    if (this.quality === before) return;
+    this.emit("quality", this.quality);
+    this.filling = this.filling.then(() => this.fit());
+    this.filling.catch((error: unknown) => this.fail(error));
+  }
+
+  /** How many images are averaged at rest. A picture of a given size is exact, unless somebody chose a quality. */
+  private get samples(): number {
+    return !this.whole || (this.options.size && !this.chosen) ? 1 : PRESETS[this.quality].samples;
   }
 
   get state(): ViewerState {
@@ -522,7 +604,8 @@ class CanvasViewer implements Viewer {
     const { size } = this.options;
     const [width, height] = size ? [size.width, size.height] : [this.container.clientWidth, this.container.clientHeight];
     if (width < 1 || height < 1 || !this.view || !this.renderer) return;
-    const ratio = size ? 1 : Math.min(window.devicePixelRatio || 1, MAX_PIXEL_RATIO);
+    const ratio = size ? 1 : pixelRatioOf(PRESETS[this.quality], width, height, window.devicePixelRatio);
+    this.renderer.samples = this.samples;
     this.view.resize(width, height);
     this.renderer.resize(Math.round(width * ratio), Math.round(height * ratio));
   }
@@ -567,7 +650,7 @@ class CanvasViewer implements Viewer {
     if (!this.scene || !this.renderer) return;
     if (this.whole) {
       try {
-        await this.show(this.scene);
+        await this.show(this.volume?.source ?? this.scene);
       } catch {
         return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
       }

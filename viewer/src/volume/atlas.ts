@@ -17,7 +17,7 @@ import {
 } from "three";
 import { CELL_VOXELS, type SceneDescription } from "../data/scene";
 import { LAYER_SLICES, SLICE_PLANES, type SliceTexels } from "../data/slices";
-import { ViewerError } from "../errors";
+import { TooLarge } from "../errors";
 import { type AtlasLayout, atlasLayout, cellPosition } from "./atlas_layout";
 import { chebyshevDistance, stencilDistances } from "./distance";
 
@@ -35,14 +35,14 @@ export interface AtlasTextures {
   indirection: Data3DTexture;
 }
 
-/** The textures of a scene. The constructor throws a ViewerError when this device cannot hold them. */
+/** The textures of a scene. The constructor throws TooLarge when this device cannot hold them. */
 export class Atlas {
   readonly kinds: Kind[];
   readonly layout: AtlasLayout;
   readonly size: Triple; // texels of a page along x, y and z
   readonly bytes: number; // of graphics memory that the pages take
   private readonly pages: Record<Kind | "distance", Data3DTexture[]>;
-  private indirection: Data3DTexture | null = null;
+  private readonly made: Data3DTexture[] = []; // all of them, and the indirection grid
   private readonly occupied: Uint32Array; // a bit for each texel that is not empty, cell by cell, x fastest, in a word
   private readonly taken: Uint8Array; // 1 for each slice that was taken
 
@@ -56,7 +56,7 @@ export class Atlas {
     const units = gl.getParameter(gl.MAX_TEXTURE_IMAGE_UNITS) - 2; // one is for the indirection grid, one for the depth of other objects
     if (Math.max(...scene.blocks) > textureLimit) {
       const blocks = scene.blocks.join(" x ");
-      throw new ViewerError(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
+      throw new TooLarge(`The scene's grid is too large for this device: ${blocks} blocks, and it holds ${textureLimit} a side.`);
     }
     this.layout = atlasLayout(scene.cells, textureLimit, Math.floor(units / (this.kinds.length + 1)));
     this.size = this.layout.blocks.map((n) => n * CELL_VOXELS) as Triple;
@@ -66,7 +66,12 @@ export class Atlas {
     const allocate = (make: () => Data3DTexture) => Array.from({ length: this.layout.pages }, () => this.allocatePage(make()));
     const values = () => makeTexture(null, this.size, RGBAFormat, UnsignedByteType, LinearFilter);
     const distances = () => distanceTexture(null, this.size);
-    this.pages = { rgba: allocate(values), feature: scene.network ? allocate(values) : [], distance: allocate(distances) };
+    try {
+      this.pages = { rgba: allocate(values), feature: scene.network ? allocate(values) : [], distance: allocate(distances) };
+    } catch (error) {
+      this.dispose(); // what there was room for
+      throw error;
+    }
   }
 
   /** The graphics memory of all textures, in bytes. */
@@ -77,19 +82,19 @@ export class Atlas {
 
   /** Free the graphics memory. */
   dispose(): void {
-    for (const texture of Object.values(this.pages).flat()) texture.dispose();
-    this.indirection?.dispose();
+    for (const texture of this.made) texture.dispose();
   }
 
   /** An atlas texture in graphics memory, without a copy in main memory. */
   private allocatePage(texture: Data3DTexture): Data3DTexture {
+    this.made.push(texture);
     texture.source.dataReady = false;
     const gl = this.renderer.getContext();
     while (gl.getError() !== gl.NO_ERROR); // errors of earlier calls
     this.renderer.initTexture(texture);
     if (gl.getError() !== gl.NO_ERROR) {
       const mebibytes = Math.ceil(this.bytes / 2 ** 20);
-      throw new ViewerError(`The scene's texture is too large: this device's graphics memory does not hold its ${mebibytes} MiB.`);
+      throw new TooLarge(`The scene's texture is too large: this device's graphics memory does not hold its ${mebibytes} MiB.`);
     }
     return texture;
   }
@@ -160,8 +165,9 @@ export class Atlas {
 
   /** All textures, when every slice was taken, or every cell filled. cells: of `readIndirection`. */
   textures(cells: Int32Array<ArrayBuffer>): AtlasTextures {
-    this.indirection = this.indirectionTexture(cells);
-    return { ...this.pages, indirection: this.indirection };
+    const indirection = this.indirectionTexture(cells);
+    this.made.push(indirection);
+    return { ...this.pages, indirection };
   }
 
   /** Copy the part of each cell that a slice holds from the layout of the files to the one of the textures. */

@@ -1,7 +1,7 @@
 // Where the cells lie in the atlas textures of this device.
 
 import { CELL_VOXELS } from "../data/scene";
-import { ViewerError } from "../errors";
+import { TooLarge } from "../errors";
 
 const MAX_CELLS_PER_SIDE = 255; // the indirection texture stores a position in cells with 8 bits an axis
 
@@ -16,13 +16,13 @@ export interface AtlasLayout {
  * cells fill page by page, x fastest. No texture has more than `textureLimit` texels on a side.
  *
  * The layout of the files may not fit: WebGL 2 guarantees 256 texels a side. Cells are uploaded one by one, so that any layout
- * will do; this one is nearly a cube, which leaves few cells unused. Throws a ViewerError when the cells need more than maxPages.
+ * will do; this one is nearly a cube, which leaves few cells unused. Throws TooLarge when the cells need more than maxPages.
  */
 export function atlasLayout(cells: number, textureLimit: number, maxPages: number): AtlasLayout {
   const side = Math.min(Math.floor(textureLimit / CELL_VOXELS), MAX_CELLS_PER_SIDE);
   const pages = Math.max(1, Math.ceil(cells / side ** 3));
   if (side < 1 || pages > maxPages) {
-    throw new ViewerError(
+    throw new TooLarge(
       `The scene's texture is too large for this device: it has ${cells} blocks, and the graphics driver holds ` +
         `${maxPages * side ** 3} (3D textures of ${textureLimit} texels a side). Bake it at a lower resolution, or use another device.`,
     );

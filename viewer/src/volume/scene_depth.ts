@@ -42,8 +42,9 @@ export class SceneDepth {
     const [width, height] = target ? [target.width, target.height] : [gl.drawingBufferWidth, gl.drawingBufferHeight];
     const key = `${target ? (target.texture.id ?? 0) : "canvas"} ${width} ${height}`;
     let copied = this.copies.get(key);
-    if (copied) return this.blit(gl, copied) ? copied.depthTexture : null;
+    if (copied && this.blit(gl, copied)) return copied.depthTexture;
     if (copied === null) return null;
+    copied?.dispose(); // it was lost with the graphics context
     this.forget();
     for (const [format, type] of FORMATS) {
       const depthTexture = new DepthTexture(width, height, type);

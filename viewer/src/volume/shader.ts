@@ -22,7 +22,10 @@ const glslFlag = (value: unknown) => (value ? "1" : "0");
  * depth. picking: give the depth at half transmittance in place of a colour, see `picking.ts`.
  */
 export function fragmentShader(scene: SceneDescription, pages: number, sceneDepth: boolean, picking = false): string {
-  const lookups = [...(scene.network ? ["rgba", "feature"] : ["rgba"]).map((kind) => texelLookup(kind, pages)), distanceLookup(pages)];
+  const lookups = [
+    ...(scene.network ? ["rgba", "feature"] : ["rgba"]).map((kind) => texelLookup(kind, pages, scene.square_roots)),
+    distanceLookup(pages),
+  ];
   return fillTemplate(march, {
     VIEW_DEPENDENCE: glslFlag(scene.network),
     OPACITY_CORRECTION: glslFlag(scene.fill_holes),
@@ -52,9 +55,30 @@ function ndcFunction(scene: SceneDescription, focal: readonly number[]): string 
 }
 
 /** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texture coordinates of an atlas page. */
-function texelLookup(kind: string, pages: number): string {
-  const read = (name: string) => `textureLod(${name}, place, 0.0)`;
-  return pageLookup(kind, pages, `vec4 ${kind}At(int page, vec3 place)`, read);
+function texelLookup(kind: string, pages: number, squareRoots: boolean): string {
+  const signature = `vec4 ${kind}At(int page, vec3 place)`;
+  if (!squareRoots) return pageLookup(kind, pages, signature, (name) => `textureLod(${name}, place, 0.0)`);
+  return blendOfSquares(kind) + pageLookup(kind, pages, signature, (name) => `${kind}Blend(${name}, place / texelSize)`);
+}
+
+/** rgbaBlend or featureBlend: the trilinear value of the squares of texels, which no filter of a texture gives. */
+function blendOfSquares(kind: string): string {
+  const corner = (x: number, y: number, z: number) => `${kind}Squared(page, low + ivec3(${x}, ${y}, ${z}))`;
+  const alongX = (y: number, z: number) => `mix(${corner(0, y, z)}, ${corner(1, y, z)}, part.x)`;
+  const alongY = (z: number) => `mix(${alongX(0, z)}, ${alongX(1, z)}, part.y)`;
+  return [
+    `vec4 ${kind}Squared(sampler3D page, ivec3 at) {`,
+    "  vec4 root = texelFetch(page, at, 0);",
+    "  return root * root;",
+    "}",
+    `vec4 ${kind}Blend(sampler3D page, vec3 texel) {`,
+    "  vec3 corner = texel - 0.5;",
+    "  ivec3 low = ivec3(floor(corner));",
+    "  vec3 part = corner - vec3(low);",
+    `  return mix(${alongY(0)}, ${alongY(1)}, part.z);`,
+    "}",
+    "",
+  ].join("\n");
 }
 
 /** distanceAt: how many stencils from a stencil, named by its lowest texel, to the nearest of its cell that is not empty; 0 if it is not. */

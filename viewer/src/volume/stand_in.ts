@@ -7,16 +7,16 @@ const FACTOR = 4; // voxels along an axis that one coarse voxel covers (core/sce
 const SPAN = 10; // coarse voxels along an axis that the voxels of a cell lie between
 const EVEN = 1e-4; // relative: how far the coarse voxel may be from FACTOR voxels
 
-/** Premultiplied values of a coarse voxel to those of a voxel: light passes four of these alike. By the alpha of the coarse one. */
-const SHARES = Float32Array.from({ length: 256 }, (_, alpha) =>
-  alpha === 0 ? 0 : (255 / alpha) * (1 - (1 - alpha / 255) ** (1 / FACTOR)),
-);
+/** Premultiplied values of a coarse voxel to those of a voxel: light passes four of these alike. alpha: of the coarse one, 0 to 255. */
+const shareOf = (alpha: number) => (alpha === 0 ? 0 : (255 / alpha) * (1 - (1 - alpha / 255) ** (1 / FACTOR)));
+const SHARES = Float32Array.from({ length: 256 }, (_, alpha) => shareOf(alpha));
 
 /** Whether a scene is that at a quarter of another's resolution, from the same corner. */
 export function standsIn(coarse: SceneDescription, scene: SceneDescription): boolean {
   const sized = coarse.blocks.every((n, axis) => n === Math.ceil(Math.ceil(scene.shape[axis] / FACTOR) / DATA_VOXELS));
   const even = Math.abs(coarse.voxel_size / (FACTOR * scene.voxel_size) - 1) < EVEN;
-  return sized && even && (coarse.network === null) === (scene.network === null);
+  const alike = (coarse.network === null) === (scene.network === null) && coarse.square_roots === scene.square_roots;
+  return sized && even && alike;
 }
 
 /** Reads the coarse scene, and gives the texels of a cell from it. */
@@ -59,18 +59,20 @@ export class StandIn {
     const rows = blend(blend(gathered, axes[2], SPAN * SPAN * 4, 1), axes[1], SPAN * 4, n);
     const texels = new Uint8Array(4 * n ** 3);
     const { low, part } = axes[0];
+    const roots = this.scene.description.square_roots;
+    const stored = (value: number) => (roots ? Math.sqrt(255 * value) : value) + 0.5;
     for (let i = 0; i < n ** 3; i++) {
       const from = 4 * ((i >> 5) * SPAN + low[i & 31]);
       const upper = part[i & 31];
       const lower = 1 - upper;
-      if (kind === "rgba") shares[i] = SHARES[(lower * rows[from + 3] + upper * rows[from + 7] + 0.5) | 0];
+      if (kind === "rgba") {
+        const alpha = lower * rows[from + 3] + upper * rows[from + 7];
+        shares[i] = roots ? shareOf(alpha) : SHARES[(alpha + 0.5) | 0];
+      }
       const share = shares[i];
       if (share === 0) continue; // most voxels
       const [a, b, to] = [share * lower, share * upper, 4 * i];
-      texels[to] = a * rows[from] + b * rows[from + 4] + 0.5;
-      texels[to + 1] = a * rows[from + 1] + b * rows[from + 5] + 0.5;
-      texels[to + 2] = a * rows[from + 2] + b * rows[from + 6] + 0.5;
-      texels[to + 3] = a * rows[from + 3] + b * rows[from + 7] + 0.5;
+      for (let c = 0; c < 4; c++) texels[to + c] = stored(a * rows[from + c] + b * rows[from + 4 + c]);
     }
     return texels;
   }
@@ -92,6 +94,7 @@ export class StandIn {
         for (let x = 0; x < 4 * SPAN; x++) some |= found[i++] = texels[from++];
       }
     }
+    if (this.scene.description.square_roots) for (let i = 0; i < found.length; i++) found[i] *= found[i] / 255;
     return some || kind === "feature" ? found : null;
   }
 }

@@ -24,18 +24,15 @@ import {
   type WebGLRenderTarget,
 } from "three";
 import type { SceneDescription } from "../data/scene";
-import { LAYER_SLICES, type SliceTexels } from "../data/slices";
 import type { SnergScene } from "../data/snerg_scene";
 import { ViewerError } from "../errors";
-import { Atlas, type AtlasTextures } from "./atlas";
+import type { Atlas, AtlasTextures } from "./atlas";
 import { coveringTriangle } from "./full_screen";
 import { type PicturePoint, pickDepths, pickingMaterial, unproject } from "./picking";
 import { raySpacePose, raySpaceUnit, similarity, viewUniforms } from "./pose";
 import { SceneDepth } from "./scene_depth";
 import { fragmentShader, vertexShader } from "./shader";
-import { StandIn, standsIn } from "./stand_in";
-
-const FILL_TIME = 20; // milliseconds of filling after which the page may do something else
+import { type GrowthOptions, SharedTextures, type TexturesUser } from "./shared_textures";
 
 export interface VolumeOptions {
   /** Whether +Y is up, as in glTF and most three.js scenes. Without it the volume keeps the axes of Blender, where +Z is up. */
@@ -44,16 +41,7 @@ export interface VolumeOptions {
   srgbTargets?: boolean;
 }
 
-export interface GrowthOptions {
-  /** The scene at a quarter of its resolution, from the same corner: it stands in for cells that have not arrived. */
-  coarse?: SnergScene;
-  /** When to begin to show it so, and not only when everything has arrived; at once without it. */
-  wanted?: Promise<unknown>;
-  /** The layers of the atlas's cells in the order in which they are read. */
-  order?: readonly number[];
-  /** After how many layers to show it so, wanted or not. */
-  enough?: number;
-}
+export type { GrowthOptions };
 
 /**
  * A baked scene in a scene of three.js. It is drawn among the transparent objects, with premultiplied alpha: it stops at what was drawn
@@ -69,10 +57,11 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private readonly srgbTargets: boolean;
   private loading: Promise<void> | null = null;
   private shaders: [string, string] | null = null; // without and with the depth of what is drawn already; null until it is loaded
-  private atlas: Atlas | null = null;
+  private shared: SharedTextures | null = null; // null until `load`
   private readonly abort = new AbortController();
   private uneven = false;
   private picker: RawShaderMaterial | null = null; // null until it is loaded
+  private leave = () => {}; // the textures
   private depthScale = { unit: 1, moved: 0 }; // of the view that was drawn last, see `ViewUniforms`
 
   constructor(
@@ -104,17 +93,19 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   }
 
   /** How many layers of cells have arrived. */
-  layersArrived = 0;
-
-  /** How much graphics memory the textures take, in bytes; 0 before `load`. */
-  get graphicsBytes(): number {
-    return this.atlas?.allBytes ?? 0;
+  get layersArrived(): number {
+    return this.shared?.layersArrived ?? 0;
   }
 
-  /** Free the graphics memory; what is still being read is given up. */
+  /** How much graphics memory the textures take, in bytes; 0 before `load`. Volumes of one scene share them. */
+  get graphicsBytes(): number {
+    return this.shared?.bytes ?? 0;
+  }
+
+  /** Free the graphics memory, unless another volume shows the same scene; what is still being read only for this one is given up. */
   override dispose(): void {
     this.abort.abort();
-    this.atlas?.dispose();
+    this.leave();
     this.geometry.dispose();
     this.material.dispose();
     this.picker?.dispose();
@@ -147,56 +138,24 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
     return scene.voxel_size * scale * Math.max(depth ** 2 / (2 * near), depth / Math.min(...scene.ndc.focal));
   }
 
-  private async read(renderer: WebGLRenderer, { coarse, wanted, order, enough }: GrowthOptions): Promise<void> {
-    const scene = this.source.description;
+  private async read(renderer: WebGLRenderer, growth: GrowthOptions): Promise<void> {
     const { signal } = this.abort;
-    const atlas = new Atlas(renderer, scene);
-    this.atlas = atlas;
-    const show = () => {
-      const textures = atlas.textures(this.source.cells);
-      this.show(textures, freeUnits(renderer, textures) > 0);
+    signal.throwIfAborted();
+    const user: TexturesUser = {
+      shown: (textures, atlas) => this.show(textures, atlas, freeUnits(renderer, textures) > 0),
+      changed: () => this.send({ type: "change" }),
+      lost: () => this.hide(),
+      failed: (error) => this.send({ type: "error", error }),
     };
-    const missing = Array<number>(scene.atlas_blocks[2]).fill(LAYER_SLICES); // slices of each layer
-    let filled: Promise<void> | undefined;
-    const fill = () => {
-      if (filled || !coarse || !standsIn(coarse.description, scene) || this.layersArrived === missing.length) return;
-      filled = this.fill(atlas, coarse).then(show);
-      filled.catch(() => {}); // it is awaited below
-    };
-    if (wanted) wanted.then(fill);
-    else fill();
-    const take = async (slice: number, texels: SliceTexels) => {
-      await filled;
-      signal.throwIfAborted();
-      atlas.take(slice, texels);
-      const layer = Math.floor(slice / LAYER_SLICES);
-      if (--missing[layer] > 0) return;
-      this.layersArrived++;
-      if (filled) this.send({ type: "change" });
-      else if (this.layersArrived === enough) fill();
-    };
-    await this.source.readSlices(take, { signal, order });
-    await filled;
-    if (!filled) show();
+    const shared = SharedTextures.join(renderer, this.source, growth, user);
+    this.shared = shared;
+    this.leave = () => shared.leave(user);
+    if (signal.aborted) this.leave();
+    const disposed = new Promise<never>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason), { once: true }));
+    await Promise.race([this.shared.whole(), disposed]);
   }
 
-  /** Put the coarse scene in place of the cells that have not arrived. */
-  private async fill(atlas: Atlas, coarse: SnergScene): Promise<void> {
-    const { signal } = this.abort;
-    const standIn = await StandIn.read(coarse, signal);
-    const [bx, by] = this.source.description.blocks;
-    let began = performance.now();
-    for (const [index, cell] of this.source.cells.entries()) {
-      if (cell < 0 || !atlas.lacks(cell)) continue;
-      atlas.fill(cell, standIn.texels([index % bx, Math.floor(index / bx) % by, Math.floor(index / (bx * by))]));
-      if (performance.now() - began < FILL_TIME) continue;
-      await new Promise((resolve) => setTimeout(resolve));
-      signal.throwIfAborted();
-      began = performance.now();
-    }
-  }
-
-  private show(textures: AtlasTextures, sceneDepth: boolean): void {
+  private show(textures: AtlasTextures, atlas: Atlas, sceneDepth: boolean): void {
     const { uniforms } = this.material;
     for (const kind of ["rgba", "feature", "distance"] as const) {
       textures[kind].forEach((texture, i) => {
@@ -204,12 +163,20 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       });
     }
     uniforms.indirection = { value: textures.indirection };
-    uniforms.texelSize = { value: new Vector3(...(this.atlas as Atlas).size.map((n) => 1 / n)) };
+    uniforms.texelSize = { value: new Vector3(...atlas.size.map((n) => 1 / n)) };
     const shader = (depth: boolean) => fragmentShader(this.source.description, textures.distance.length, depth);
     this.shaders = [shader(false), shader(sceneDepth)];
+    this.picker?.dispose();
     this.picker = pickingMaterial(this.material, fragmentShader(this.source.description, textures.distance.length, false, true));
     this.geometry.setDrawRange(0, Number.POSITIVE_INFINITY);
     this.send({ type: "change" });
+  }
+
+  /** The textures are lost: draw nothing, and let three.js make none of them again. */
+  private hide(): void {
+    this.shaders = null;
+    this.geometry.setDrawRange(0, 0);
+    for (const uniform of Object.values(this.material.uniforms)) if (uniform.value?.isTexture) uniform.value = null;
   }
 
   /** Called by three.js before each drawing. */

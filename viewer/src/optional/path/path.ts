@@ -1,7 +1,11 @@
 // Camera paths: what path.json says, the camera at any frame, and the clock that plays them. A page without a path loads none of this, and so
-// it uses nothing of three.js, and throws no errors, whose class would be another one than the viewer's. core/geometry/camera_path.py interpolates by the same rules.
+// it uses nothing of three.js, and throws no errors, whose class would be another one than the viewer's. core/geometry/camera_state.py interpolates by the same rules.
 import { isArray, isPositiveInteger } from "../../data/scene";
 
+const VERSIONS = [1, 2]; // of the format; only the second has curves
+const CURVE = 11; // numbers in each half of a curve
+const LONGEST_LENS = 50; // logarithm of a focal length, at most: a curve of a damaged file does not overflow
+const NO_ROTATION = 1e-6; // length of a quaternion below which it says nothing
 const NEARLY_SAME = 1e-9; // radians between two quaternions below which spherical and linear interpolation are equal
 const LONGEST_STEP = 1; // seconds of the clock a picture at most: while a tab is hidden, the path stands still
 const MAX_SPEED = 16;
@@ -23,7 +27,11 @@ export interface PathCamera {
 interface Key extends Omit<PathCamera, "name" | "projection" | "width" | "height"> {
   frame: number;
   distance: number; // how far before the camera the point lies that it turns around
+  curve?: Curve; // to the next key; without one, interpolation is linear
 }
+
+/** The velocities, a frame, with which a curve leaves its first key and reaches its last, in the order of docs/file-format.md. */
+type Curve = [number[], number[]];
 
 interface Shot {
   name: string;
@@ -74,25 +82,59 @@ export class CameraPath {
     const [a, b] = [shot.keys[index], shot.keys[index + 1] ?? shot.keys[index]];
     const part = b.frame > a.frame ? Math.max(0, (frame - a.frame) / (b.frame - a.frame)) : 0;
     const { width, height } = this.file;
-    return { name: shot.name, projection: shot.projection, width, height, ...blended(a, b, part) };
+    return { name: shot.name, projection: shot.projection, width, height, ...between(a, b, part) };
   }
 }
 
-function blended(a: Key, b: Key, part: number): Omit<Key, "frame" | "distance"> {
+/** The camera between two keys: near and far linearly, all else along the curve, where there is one. */
+function between(a: Key, b: Key, part: number): Omit<Key, "frame" | "distance" | "curve"> {
   const mix = (x: number, y: number) => x + (y - x) * part;
+  const weights = hermite(part, b.frame - a.frame);
+  /** index: of the velocity in the curve's halves. */
+  const blend = (x: number, y: number, index: number) => (a.curve ? cubic(x, y, a.curve[0][index], a.curve[1][index], weights) : mix(x, y));
   const far = mix(a.far === undefined ? 0 : 1 / a.far, b.far === undefined ? 0 : 1 / b.far);
-  const rotation = slerp(a.rotation, b.rotation, part);
+  const rotation = a.curve ? turnAlong(a.curve, a.rotation, b.rotation, weights) : slerp(a.rotation, b.rotation, part);
   const [one, other, back] = [a, b, { rotation }].map((key) => backward(key.rotation));
-  const target = a.position.map((x, i) => mix(x - a.distance * one[i], b.position[i] - b.distance * other[i]));
-  const distance = mix(a.distance, b.distance);
+  const target = a.position.map((x, i) => blend(x - a.distance * one[i], b.position[i] - b.distance * other[i], i));
+  const distance = blend(a.distance, b.distance, 10);
+  const lens = a.focal.map((x, i) => blend(Math.log(x), Math.log(b.focal[i]), 6 + i));
   return {
     position: target.map((x, i) => x + distance * back[i]),
     rotation,
-    focal: a.focal.map((x, i) => Math.exp(mix(Math.log(x), Math.log(b.focal[i])))) as [number, number],
-    centre: a.centre.map((x, i) => mix(x, b.centre[i])) as [number, number],
+    focal: lens.map((x) => Math.exp(Math.min(Math.max(x, -LONGEST_LENS), LONGEST_LENS))) as [number, number],
+    centre: a.centre.map((x, i) => blend(x, b.centre[i], 8 + i)) as [number, number],
     near: mix(a.near, b.near),
     ...(far > 0 ? { far: 1 / far } : {}),
   };
+}
+
+/** The weights of cubic Hermite interpolation over so many frames: of the last value (the first has the rest to 1), and of both velocities. */
+const hermite = (u: number, frames: number): [number, number, number] => [
+  u * u * (3 - 2 * u),
+  frames * u * (1 - u) ** 2,
+  -frames * u * u * (1 - u),
+];
+
+const cubic = (a: number, b: number, leaving: number, reaching: number, [last, one, other]: [number, number, number]): number =>
+  a + last * (b - a) + one * leaving + other * reaching;
+
+/** A rotation along a curve, as in glTF: quaternions are interpolated, and their length then becomes 1. */
+function turnAlong([leaving, reaching]: Curve, a: number[], towards: number[], weights: [number, number, number]): number[] {
+  const b = facing(a, towards);
+  const [one, other] = [spin(leaving.slice(3, 6), a), spin(reaching.slice(3, 6), b)];
+  const turn = a.map((x, i) => cubic(x, b[i], one[i], other[i], weights));
+  const length = Math.hypot(...turn);
+  return length > NO_ROTATION ? turn.map((x) => x / length) : a;
+}
+
+/** The velocity of a quaternion that turns with an angular velocity about the world's axes. */
+const spin = ([vx, vy, vz]: number[], [x, y, z, w]: number[]): number[] =>
+  [w * vx + vy * z - vz * y, w * vy + vz * x - vx * z, w * vz + vx * y - vy * x, -vx * x - vy * y - vz * z].map((value) => value / 2);
+
+/** The same rotation as `b`, as the quaternion that is nearer to `a`. */
+function facing(a: number[], b: number[]): number[] {
+  const dot = a.reduce((sum, x, i) => sum + x * b[i], 0);
+  return dot < 0 ? b.map((x) => -x) : b;
 }
 
 /** The third axis of a rotation: a camera looks against it. */
@@ -100,8 +142,7 @@ const backward = ([x, y, z, w]: number[]): number[] => [2 * (x * z + y * w), 2 *
 
 /** Spherical interpolation between unit quaternions, the shorter way. */
 function slerp(a: number[], other: number[], part: number): number[] {
-  const dot = a.reduce((sum, x, i) => sum + x * other[i], 0);
-  const b = dot < 0 ? other.map((x) => -x) : other;
+  const b = facing(a, other);
   const angle = 2 * Math.atan2(Math.hypot(...a.map((x, i) => x - b[i])), Math.hypot(...a.map((x, i) => x + b[i])));
   if (angle < NEARLY_SAME) return a.map((x, i) => x + (b[i] - x) * part);
   const [first, second] = [Math.sin((1 - part) * angle) / Math.sin(angle), Math.sin(part * angle) / Math.sin(angle)];
@@ -123,17 +164,17 @@ function lastBefore<T>(items: T[], frame: number, frameOf: (item: T) => number):
 function filled(keys: Partial<Key>[], { width, height }: PathFile): Key[] {
   let last: Partial<Key> = { near: 0, distance: 0, centre: [width / 2, height / 2] };
   return keys.map((key) => {
-    last = { ...last, ...key };
+    last = { ...last, curve: undefined, ...key };
     const length = Math.hypot(...(last.rotation as number[]));
-    const far = last.far ?? undefined; // null in the file: none
-    return { ...last, far, rotation: (last.rotation as number[]).map((x) => x / length) } as Key;
+    const { far, curve } = { far: last.far ?? undefined, curve: last.curve ?? undefined }; // null in the file: none
+    return { ...last, far, curve, rotation: (last.rotation as number[]).map((x) => x / length) } as Key;
   });
 }
 
 function isPath(value: PathFile | null): value is PathFile {
   return (
     value?.format === "snerg-path" &&
-    value.version === 1 &&
+    VERSIONS.includes(value.version) &&
     value.fps > 0 &&
     Number.isFinite(value.fps) &&
     [value.start, value.end].every(Number.isSafeInteger) &&
@@ -153,10 +194,11 @@ function isShot(shot: Shot | null): boolean {
   if (!Array.isArray(keys) || keys.length === 0 || keys.some((key) => key === null || typeof key !== "object")) return false;
   const [first] = keys;
   const whole = isArray(first.position, [3]) && isArray(first.rotation, [4]) && isArray(first.focal, [2]);
-  return whole && keys.every(isKey) && inOrder(keys.map((key) => key.frame));
+  const leads = keys[keys.length - 1].curve ?? null; // to no key
+  return whole && leads === null && keys.every(isKey) && inOrder(keys.map((key) => key.frame));
 }
 
-function isKey({ frame, position, rotation, distance, focal, centre, near, far }: Key): boolean {
+function isKey({ frame, position, rotation, distance, focal, centre, near, far, curve }: Key): boolean {
   const given = (value: unknown, length: number) => value === undefined || isArray(value, [length]);
   return (
     Number.isFinite(frame) &&
@@ -167,6 +209,7 @@ function isKey({ frame, position, rotation, distance, focal, centre, near, far }
     given(focal, 2) &&
     (focal === undefined || focal.every((f) => f > 0)) &&
     given(centre, 2) &&
+    (curve === undefined || curve === null || isArray(curve, [2, CURVE])) &&
     (near === undefined || near >= 0) &&
     (far === undefined || far === null || far > 0)
   );
