@@ -82,6 +82,25 @@ def test_distances() -> None:
     assert (np.array(shown) == expected).all()
 
 
+def test_distances_of_stencils() -> None:
+    """Chebyshev distances between stencils, against their definition: texels at faces, edges and corners of a cell, and an empty cell."""
+    texels = np.zeros((32, 32, 32), bool)  # z, y, x
+    for place in ((0, 31, 7), (31, 0, 31), (16, 9, 31), (20, 1, 0), (31, 31, 12)):
+        texels[place] = True
+    rows = (texels.astype(np.uint64) << np.arange(32, dtype=np.uint64)).sum(axis=-1).ravel().tolist()
+    shown, empty = node(f"""
+        import {{ stencilDistances }} from "./volume/distance";
+        const distances = (rows) => Array.from(stencilDistances(Uint32Array.from(rows)));
+        console.log(JSON.stringify([distances({rows}), distances(Array(1024).fill(0))]));
+    """)
+    stencils = np.zeros((33, 33, 33), bool)  # from one below the cell on
+    for offset in np.ndindex(2, 2, 2):
+        stencils[tuple(slice(start, start + 32) for start in offset)] |= texels
+    points = np.argwhere(stencils[1:, 1:, 1:])
+    expected = np.abs(np.argwhere(np.ones_like(texels))[:, None] - points).max(axis=-1).min(axis=-1)
+    assert (np.array(shown) == expected).all() and set(empty) == {255}
+
+
 def test_shader_templates() -> None:
     """Every placeholder is filled, as often as it occurs, and no value is searched for placeholders."""
     assert fill("a {{A}} {{B}} {{A}}", {"A": "{{B}}", "B": "2"}) == "a {{B}} 2 {{B}}"

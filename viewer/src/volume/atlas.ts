@@ -8,7 +8,6 @@ import {
   type MagnificationTextureFilter,
   NearestFilter,
   type PixelFormat,
-  RedFormat,
   RedIntegerFormat,
   RGBAFormat,
   type TextureDataType,
@@ -20,20 +19,19 @@ import { CELL_VOXELS, type SceneDescription } from "../data/scene";
 import { LAYER_SLICES, SLICE_PLANES, type SliceTexels } from "../data/slices";
 import { TooLarge } from "../errors";
 import { type AtlasLayout, atlasLayout, cellPosition } from "./atlas_layout";
-import { chebyshevDistance } from "./distance";
+import { chebyshevDistance, stencilDistances } from "./distance";
 
-const COARSE_TEXELS = 4; // texels of a coarse voxel along an axis; within a cell, rays skip coarse voxels
-const COARSE_PER_CELL = CELL_VOXELS / COARSE_TEXELS; // along an axis
-const COARSE_BYTES = COARSE_PER_CELL ** 3; // a cell, at one byte a coarse voxel
+const CELL_ROWS = CELL_VOXELS ** 2; // of texels along x
 
 type Kind = "rgba" | "feature";
 type Triple = [number, number, number];
+const CELL: Triple = [CELL_VOXELS, CELL_VOXELS, CELL_VOXELS];
 
 /** The textures that the shader reads: one a page, and the indirection grid. */
 export interface AtlasTextures {
   rgba: Data3DTexture[];
   feature: Data3DTexture[]; // none in a diffuse scene
-  distance: Data3DTexture[];
+  distance: Data3DTexture[]; // see `stencilDistances`
   indirection: Data3DTexture;
 }
 
@@ -43,13 +41,9 @@ export class Atlas {
   readonly layout: AtlasLayout;
   readonly size: Triple; // texels of a page along x, y and z
   readonly bytes: number; // of graphics memory that the pages take
-  strayFeatures = false; // whether a voxel of alpha 0 has features, as none does that was baked here
-  private readonly pages: Record<Kind, Data3DTexture[]>;
-  private readonly allocated: Data3DTexture[] = []; // the pages
-  private made: Data3DTexture[] = []; // by `textures`
-  private distances: Data3DTexture[] = [];
-  private occupied: Uint8Array; // 1 where a coarse voxel is not empty, cell by cell, x fastest
-  private filled: Uint8Array | null = null; // the same for what stands in for cells that have not arrived
+  private readonly pages: Record<Kind | "distance", Data3DTexture[]>;
+  private readonly made: Data3DTexture[] = []; // all of them, and the indirection grid
+  private readonly occupied: Uint32Array; // a bit for each texel that is not empty, cell by cell, x fastest, in a word
   private readonly taken: Uint8Array; // 1 for each slice that was taken
 
   constructor(
@@ -66,13 +60,14 @@ export class Atlas {
     }
     this.layout = atlasLayout(scene.cells, textureLimit, Math.floor(units / (this.kinds.length + 1)));
     this.size = this.layout.blocks.map((n) => n * CELL_VOXELS) as Triple;
-    this.bytes = this.layout.pages * this.size[0] * this.size[1] * this.size[2] * 4 * this.kinds.length;
-    this.occupied = new Uint8Array(scene.cells * COARSE_BYTES);
+    this.bytes = this.layout.pages * this.size[0] * this.size[1] * this.size[2] * (4 * this.kinds.length + 1);
+    this.occupied = new Uint32Array(scene.cells * CELL_ROWS);
     this.taken = new Uint8Array(scene.atlas_blocks[2] * LAYER_SLICES);
-    const allocate = (kind: Kind) =>
-      this.kinds.includes(kind) ? Array.from({ length: this.layout.pages }, () => this.allocatePage()) : [];
+    const allocate = (make: () => Data3DTexture) => Array.from({ length: this.layout.pages }, () => this.allocatePage(make()));
+    const values = () => makeTexture(null, this.size, RGBAFormat, UnsignedByteType, LinearFilter);
+    const distances = () => distanceTexture(null, this.size);
     try {
-      this.pages = { rgba: allocate("rgba"), feature: allocate("feature") };
+      this.pages = { rgba: allocate(values), feature: scene.network ? allocate(values) : [], distance: allocate(distances) };
     } catch (error) {
       this.dispose(); // what there was room for
       throw error;
@@ -82,18 +77,17 @@ export class Atlas {
   /** The graphics memory of all textures, in bytes. */
   get allBytes(): number {
     const [x, y, z] = this.scene.blocks;
-    return this.bytes + this.layout.pages * this.layout.blocks.reduce((product, n) => product * n) * COARSE_BYTES + 4 * x * y * z;
+    return this.bytes + 4 * x * y * z;
   }
 
   /** Free the graphics memory. */
   dispose(): void {
-    for (const texture of [...this.allocated, ...this.made]) texture.dispose();
+    for (const texture of this.made) texture.dispose();
   }
 
   /** An atlas texture in graphics memory, without a copy in main memory. */
-  private allocatePage(): Data3DTexture {
-    const texture = makeTexture(null, this.size, RGBAFormat, UnsignedByteType, LinearFilter);
-    this.allocated.push(texture);
+  private allocatePage(texture: Data3DTexture): Data3DTexture {
+    this.made.push(texture);
     texture.source.dataReady = false;
     const gl = this.renderer.getContext();
     while (gl.getError() !== gl.NO_ERROR); // errors of earlier calls
@@ -105,11 +99,12 @@ export class Atlas {
     return texture;
   }
 
-  /** Upload the texels of a slice. */
+  /** Upload the texels of a slice; with the last slice of a layer the distances of its cells, too. */
   take(slice: number, texels: SliceTexels): void {
-    this.strayFeatures ||= hasStrayFeatures(texels);
     for (const kind of this.kinds) this.upload(kind, slice, texels[kind] as Uint8Array);
     this.taken[slice] = 1;
+    const cells = this.cellsOf(Math.floor(slice / LAYER_SLICES));
+    if (cells.length && !this.lacks(cells[0])) for (const cell of cells) this.uploadDistances(cell, this.rowsOf(cell));
   }
 
   /** Whether slices of a cell are missing. */
@@ -119,14 +114,20 @@ export class Atlas {
 
   /** Put texels of x fastest in place of a cell's slices that were not taken yet; null: they are empty. */
   fill(cell: number, texels: SliceTexels | null): void {
-    this.filled ??= new Uint8Array(this.occupied.length);
-    if (!texels) return; // graphics memory begins as zeros
-    const size: Triple = [CELL_VOXELS, CELL_VOXELS, CELL_VOXELS];
+    const rows = this.rowsOf(cell).slice();
+    if (texels) {
+      this.uploadMissing(cell, texels);
+      markOccupied(rows, words(texels.rgba), 0, CELL, 0);
+    }
+    this.uploadDistances(cell, rows);
+  }
+
+  private uploadMissing(cell: number, texels: SliceTexels): void {
     const [page, x, y, z] = cellPosition(this.layout, cell);
     const slices = this.slicesOf(cell);
     const [first, last] = [slices.indexOf(0), slices.lastIndexOf(0)];
     for (const kind of this.kinds) {
-      const source = makeTexture(texels[kind] as Uint8Array, size, RGBAFormat, UnsignedByteType, LinearFilter);
+      const source = makeTexture(texels[kind] as Uint8Array, CELL, RGBAFormat, UnsignedByteType, LinearFilter);
       for (let slice = first; slice <= last; slice++) {
         if (slices[slice]) continue;
         const begin = slice * SLICE_PLANES;
@@ -136,8 +137,6 @@ export class Atlas {
         this.renderer.copyTextureToTexture(source, this.pages[kind][page], box, place);
       }
     }
-    const words = new Uint32Array(texels.rgba.buffer, texels.rgba.byteOffset, texels.rgba.length / 4);
-    this.markOccupied(this.filled, words, 0, size, cell, 0);
   }
 
   /** 1 for each slice of a cell that was taken. */
@@ -146,23 +145,29 @@ export class Atlas {
     return this.taken.subarray(layer * LAYER_SLICES, (layer + 1) * LAYER_SLICES);
   }
 
-  /** All textures, when every slice was taken, or every cell filled. cells: of `readIndirection`. */
-  textures(cells: Int32Array<ArrayBuffer>): AtlasTextures {
-    this.distances = this.distanceTextures();
-    const indirection = this.indirectionTexture(cells);
-    this.made = [...this.distances, indirection];
-    return { ...this.pages, distance: this.distances, indirection };
+  /** The cells of a layer, which lie one above the other in the files' layout. */
+  private cellsOf(layer: number): number[] {
+    const [bx, by] = this.scene.atlas_blocks;
+    const first = layer * bx * by;
+    return Array.from({ length: Math.max(Math.min(bx * by, this.scene.cells - first), 0) }, (_, i) => first + i);
   }
 
-  /** A layer of filled cells has arrived: bring their distances to the textures. Call it after `textures`. */
-  arrived(layer: number): void {
-    const [bx, by] = this.scene.atlas_blocks;
-    const size: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
-    for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
-      const source = makeTexture(this.distancesOf(cell, this.occupied), size, RedFormat, UnsignedByteType, NearestFilter);
-      const [page, x, y, z] = cellPosition(this.layout, cell);
-      this.renderer.copyTextureToTexture(source, this.distances[page], null, new Vector3(x, y, z).multiplyScalar(COARSE_PER_CELL));
-    }
+  /** The words of `occupied` of a cell. */
+  private rowsOf(cell: number): Uint32Array {
+    return this.occupied.subarray(cell * CELL_ROWS, (cell + 1) * CELL_ROWS);
+  }
+
+  private uploadDistances(cell: number, rows: Uint32Array): void {
+    const [page, x, y, z] = cellPosition(this.layout, cell);
+    const place = new Vector3(x, y, z).multiplyScalar(CELL_VOXELS);
+    this.renderer.copyTextureToTexture(distanceTexture(stencilDistances(rows), CELL), this.pages.distance[page], null, place);
+  }
+
+  /** All textures, when every slice was taken, or every cell filled. cells: of `readIndirection`. */
+  textures(cells: Int32Array<ArrayBuffer>): AtlasTextures {
+    const indirection = this.indirectionTexture(cells);
+    this.made.push(indirection);
+    return { ...this.pages, indirection };
   }
 
   /** Copy the part of each cell that a slice holds from the layout of the files to the one of the textures. */
@@ -170,13 +175,11 @@ export class Atlas {
     const [bx, by] = this.scene.atlas_blocks;
     const [width, height] = [bx * CELL_VOXELS, by * CELL_VOXELS];
     const source = makeTexture(texels, [width, height, SLICE_PLANES], RGBAFormat, UnsignedByteType, LinearFilter);
-    const words = new Uint32Array(texels.buffer, texels.byteOffset, texels.length / 4);
-    const layer = Math.floor((slice * SLICE_PLANES) / CELL_VOXELS);
     const z = (slice * SLICE_PLANES) % CELL_VOXELS;
-    for (let cell = layer * bx * by; cell < Math.min((layer + 1) * bx * by, this.scene.cells); cell++) {
+    for (const cell of this.cellsOf(Math.floor(slice / LAYER_SLICES))) {
       const x = (cell % bx) * CELL_VOXELS;
       const y = (Math.floor(cell / bx) % by) * CELL_VOXELS;
-      this.markOccupied(this.occupied, words, x + y * width, [width, height, SLICE_PLANES], cell, z);
+      markOccupied(this.rowsOf(cell), words(texels), x + y * width, [width, height, SLICE_PLANES], z);
       const [page, px, py, pz] = cellPosition(this.layout, cell);
       this.renderer.copyTextureToTexture(
         source,
@@ -185,41 +188,6 @@ export class Atlas {
         new Vector3(px * CELL_VOXELS, py * CELL_VOXELS, pz * CELL_VOXELS + z),
       );
     }
-  }
-
-  /** Mark the coarse voxels of a cell that the nonzero texels of an image reach. words: one a texel; start: the cell's first. */
-  private markOccupied(marks: Uint8Array, words: Uint32Array, start: number, image: Triple, cell: number, firstPlane: number): void {
-    const [width, height, planes] = image;
-    for (let z = 0; z < planes; z++) {
-      for (let y = 0; y < CELL_VOXELS; y++) {
-        const row = start + (z * height + y) * width;
-        for (let x = 0; x < CELL_VOXELS; x++) {
-          if (words[row + x] !== 0) markCoarseVoxels(marks, cell, x, y, firstPlane + z);
-        }
-      }
-    }
-  }
-
-  /** A texture a page with, for each coarse voxel, the distance in coarse voxels to the nearest of its cell that is not empty. */
-  private distanceTextures(): Data3DTexture[] {
-    const [x, y, z] = this.layout.blocks.map((n) => n * COARSE_PER_CELL);
-    const pages = Array.from({ length: this.layout.pages }, () => new Uint8Array(x * y * z));
-    const marks = this.filled ? this.filled.map((filled, i) => filled | this.occupied[i]) : this.occupied;
-    for (let cell = 0; cell < this.scene.cells; cell++) {
-      const distances = this.distancesOf(cell, marks);
-      const [page, px, py, pz] = cellPosition(this.layout, cell);
-      for (let row = 0; row < COARSE_PER_CELL ** 2; row++) {
-        const cy = py * COARSE_PER_CELL + (row % COARSE_PER_CELL);
-        const cz = pz * COARSE_PER_CELL + Math.floor(row / COARSE_PER_CELL);
-        pages[page].set(distances.subarray(row * COARSE_PER_CELL, (row + 1) * COARSE_PER_CELL), (cz * y + cy) * x + px * COARSE_PER_CELL);
-      }
-    }
-    return pages.map((data) => makeTexture(data, [x, y, z], RedFormat, UnsignedByteType, NearestFilter));
-  }
-
-  private distancesOf(cell: number, marks: Uint8Array): Uint8Array {
-    const shape: Triple = [COARSE_PER_CELL, COARSE_PER_CELL, COARSE_PER_CELL];
-    return chebyshevDistance(marks.subarray(cell * COARSE_BYTES, (cell + 1) * COARSE_BYTES), shape);
   }
 
   /**
@@ -242,24 +210,25 @@ export class Atlas {
   }
 }
 
-/** Mark the coarse voxels in which a texel has a trilinear weight: its own, and at a border its neighbours. */
-function markCoarseVoxels(marks: Uint8Array, cell: number, x: number, y: number, z: number): void {
-  const low = (i: number) => Math.max(0, (i - 1) >> 2);
-  const high = (i: number) => Math.min(COARSE_PER_CELL - 1, (i + 1) >> 2);
-  for (let cz = low(z); cz <= high(z); cz++) {
-    for (let cy = low(y); cy <= high(y); cy++) {
-      const row = cell * COARSE_BYTES + (cz * COARSE_PER_CELL + cy) * COARSE_PER_CELL;
-      for (let cx = low(x); cx <= high(x); cx++) marks[row + cx] = 1;
+/** One a texel. */
+const words = (texels: Uint8Array) => new Uint32Array(texels.buffer, texels.byteOffset, texels.length / 4);
+
+/** Set the bits of a cell's texels that are not 0 in an image. start: the cell's first texel in it; plane: where its first plane lies. */
+function markOccupied(rows: Uint32Array, image: Uint32Array, start: number, [width, height, planes]: Triple, plane: number): void {
+  for (let z = 0; z < planes; z++) {
+    for (let y = 0; y < CELL_VOXELS; y++) {
+      const from = start + (z * height + y) * width;
+      let row = 0;
+      for (let x = 0; x < CELL_VOXELS; x++) if (image[from + x] !== 0) row |= 1 << x;
+      rows[(plane + z) * CELL_VOXELS + y] |= row;
     }
   }
 }
 
-/** Whether a texel of alpha 0 has features. */
-function hasStrayFeatures({ rgba, feature }: SliceTexels): boolean {
-  if (!feature) return false;
-  const words = new Uint32Array(feature.buffer, feature.byteOffset, feature.length / 4);
-  for (let i = 0; i < words.length; i++) if (words[i] !== 0 && rgba[4 * i + 3] === 0) return true;
-  return false;
+function distanceTexture(data: Uint8Array | null, size: Triple): Data3DTexture {
+  const texture = makeTexture(data, size, RedIntegerFormat, UnsignedByteType, NearestFilter);
+  texture.internalFormat = "R8UI";
+  return texture;
 }
 
 function makeTexture(

@@ -1,10 +1,14 @@
 // Fragment shader that marches one ray a pixel (paper, section 5.2), with the same samples as core/rendering/render.py: at
 // t_entry + 0.5 + k voxels along the ray, k = 0, 1, 2, ... Empty-space skipping only increases k, and only past samples that are
 // zero, so the image equals that of a march without skipping.
+//
+// Rays look for their next sample in one loop and read it behind it: a group of pixels, which a GPU and a software rasteriser process
+// together, then reads the atlas as often as the ray with the most samples, and not whenever any of the rays has one.
 precision highp float;
 precision highp int;
 precision highp sampler3D;
 precision highp isampler3D;
+precision highp usampler3D;
 
 #define VIEW_DEPENDENCE {{VIEW_DEPENDENCE}}
 #define OPACITY_CORRECTION {{OPACITY_CORRECTION}}
@@ -29,13 +33,10 @@ uniform mat3 networkFromCamera;   // a rotation, to the axes in which the networ
 uniform float nearDistance;       // ray space, along the ray, where the scene begins
 uniform vec2 clipPlanes;          // ray space, along the view axis: nearest and farthest that is seen
 uniform vec3 gridShape;           // voxels
-uniform ivec3 gridBlocks;         // macroblocks
+uniform vec3 gridBlocks;          // macroblocks
 uniform bool linearOutput;        // whether the image holds linear colours in place of sRGB
 uniform isampler3D indirection;
 uniform vec3 texelSize;           // of an atlas page, in texture coordinates
-#if VIEW_DEPENDENCE
-uniform float featuresAbove;      // alpha above which a sample's features count: 0, or -1 where empty voxels have features
-#endif
 #if SCENE_DEPTH
 // What is drawn already. A depth in ray space, along the view axis, is to and from the depth buffer as depthTerms say: of a perspective
 // camera x / depth - y, of an orthographic one x - y * depth, and then * z + w.
@@ -62,15 +63,13 @@ float viewFromBuffer(float value) {
 }
 #endif
 
-// Distance from `origin`, which lies in the box from `low` to `high`, along the ray to where it leaves the box.
-float exitDistance(vec3 origin, vec3 inverseDirection, vec3 low, vec3 high) {
-  vec3 far = (mix(low, high, greaterThan(inverseDirection, vec3(0.0))) - origin) * inverseDirection;
-  return min(far.x, min(far.y, far.z));
+float least(vec3 values) {
+  return min(values.x, min(values.y, values.z));
 }
 
-// The first sample k at or behind a distance from the ray's entry.
-int firstSampleFrom(float distance) {
-  return int(ceil(min(distance, 1e7) - 0.5 - STEP_EPSILON));
+// The first sample at or behind a distance from the ray's entry: its own distance.
+float firstSampleFrom(float distance) {
+  return ceil(distance - 0.5 - STEP_EPSILON) + 0.5;
 }
 
 // sRGB to linear (IEC 61966-2-1).
@@ -100,61 +99,67 @@ void main() {
 
   vec3 low = min(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
   vec3 high = max(-origin * inverseDirection, (gridShape - origin) * inverseDirection);
-  float entryDistance = max(max(low.x, max(low.y, low.z)), near);
-  float endDistance = min(far, min(high.x, min(high.y, high.z)));
+  float entryDistance = max(-least(-low), near);
+  float endDistance = min(far, least(high));
 
   vec3 rgb = vec3(0.0);
   vec4 features = vec4(0.0);
   float transmittance = 1.0;
   vec3 entry = origin + direction * entryDistance;
-  int samples = endDistance > entryDistance ? int(ceil(endDistance - entryDistance - 0.5)) : 0;
-  int k = 0;
+  float end = endDistance - entryDistance;
+  float t = 0.5; // of the sample: voxels from the entry
+  float blockEnd = 0.0; // where the macroblock ends: no sample before it lies outside
+  int page = 0;
+  vec3 atlasEntry = vec3(0.0); // the entry in the macroblock's cell: texels of the page, half a texel down, which numbers stencils
+  float stencilSteps = least(abs(inverseDirection)); // to cross a stencil, at least
+  vec3 side = sign(inverseDirection); // of a box, at which the ray leaves it: -1 or 1
+  vec3 ahead = max(side, 0.0);
 #if SCENE_DEPTH || PICKING
-  int halfway = -1; // the sample at which half of the light is gone
+  float halfway = -1.0; // the sample at which half of the light is gone
 #endif
-  while (k < samples && transmittance > MIN_TRANSMITTANCE) {
-    vec3 point = entry + (float(k) + 0.5) * direction;
-    // Clamp: rounding may put a sample on the grid's outer face into a block outside.
-    ivec3 block = clamp(ivec3(floor(point / DATA_VOXELS)), ivec3(0), gridBlocks - 1);
-    int cell = texelFetch(indirection, block, 0).r;
-    if (cell < 0) { // minus the distance in blocks to the nearest macroblock that is not empty
-      vec3 radius = vec3(-cell - 1);
-      vec3 corner = vec3(block);
-      float exit = exitDistance(entry, inverseDirection, (corner - radius) * DATA_VOXELS, (corner + 1.0 + radius) * DATA_VOXELS);
-      k = max(k + 1, firstSampleFrom(exit));
-      continue;
-    }
-    int page = cell >> 24;
-    vec3 corner = vec3(block) * DATA_VOXELS;
-    vec3 atlasOffset = vec3(cell & 255, cell >> 8 & 255, cell >> 16 & 255) * CELL_VOXELS + 1.0 - corner; // grid to atlas
-    float blockExit = exitDistance(entry, inverseDirection, corner, corner + DATA_VOXELS);
-    int blockEnd = min(samples, max(k + 1, firstSampleFrom(blockExit)));
-    bool maybeEmpty = true; // whether the coarse voxel at the sample may be empty
-    while (k < blockEnd && transmittance > MIN_TRANSMITTANCE) {
-      vec3 texel = entry + (float(k) + 0.5) * direction + atlasOffset;
-      if (maybeEmpty) {
-        ivec3 coarse = ivec3(texel) >> 2;
-        float distance = distanceAt(page, coarse);
-        if (distance > 0.0) {
-          vec3 emptyLow = (vec3(coarse) + 1.0 - distance) * 4.0 - atlasOffset;
-          float exit = exitDistance(entry, inverseDirection, emptyLow, emptyLow + (2.0 * distance - 1.0) * 4.0);
-          k = min(max(k + 1, firstSampleFrom(exit)), blockEnd); // distances hold within the macroblock only
-          continue;
+  bool maybeEmpty = true; // whether the stencil at t may be empty
+  do { // the loops end with conditions, because a software rasteriser runs the body of any loop at least once
+    do { // look for a macroblock that is not empty
+      if (t >= blockEnd) {
+        // Clamp: rounding may put a sample on the grid's outer face into a block outside.
+        vec3 block = clamp(floor((entry + t * direction) * (1.0 / DATA_VOXELS)), vec3(0.0), gridBlocks - 1.0);
+        int cell = texelFetch(indirection, ivec3(block), 0).r;
+        vec3 radius = vec3(max(-cell - 1, 0)); // an empty macroblock holds minus the distance in blocks to the nearest that is not
+        vec3 exits = ((block + ahead + side * radius) * DATA_VOXELS - entry) * inverseDirection;
+        float next = max(t + 1.0, firstSampleFrom(least(exits)));
+        if (cell < 0) {
+          t = next;
+        } else {
+          blockEnd = min(next, end);
+          page = cell >> 24;
+          atlasEntry = entry + vec3(cell & 255, cell >> 8 & 255, cell >> 16 & 255) * CELL_VOXELS + 0.5 - block * DATA_VOXELS;
+          maybeEmpty = true;
         }
       }
-      vec4 rgba = rgbaAt(page, texel);
+    } while (t >= blockEnd && t < end);
+    do { // in it, look for a stencil that is not empty
+      if (maybeEmpty && t < blockEnd) {
+        float distance = distanceAt(page, ivec3(atlasEntry + t * direction));
+        maybeEmpty = distance > 0.0;
+        // All stencils less than the distance away along every axis are empty; distances hold within the macroblock only.
+        if (maybeEmpty) t = min(t + floor((distance - 1.0) * stencilSteps) + 1.0, blockEnd);
+      }
+    } while (maybeEmpty && t < blockEnd);
+    if (t < blockEnd) {
+      vec3 place = (atlasEntry + t * direction + 0.5) * texelSize;
+      vec4 rgba = rgbaAt(page, place);
       rgb += transmittance * rgba.rgb;
 #if VIEW_DEPENDENCE
-      if (rgba.a > featuresAbove) features += transmittance * featureAt(page, texel); // about two in five samples are empty
+      features += transmittance * featureAt(page, place);
 #endif
       transmittance *= 1.0 - rgba.a;
 #if SCENE_DEPTH || PICKING
-      if (halfway < 0 && transmittance < 0.5) halfway = k;
+      if (halfway < 0.0 && transmittance < 0.5) halfway = t;
 #endif
       maybeEmpty = rgba.a == 0.0;
-      ++k;
+      t += 1.0;
     }
-  }
+  } while (t < end && transmittance > MIN_TRANSMITTANCE);
 
 #if OPACITY_CORRECTION
   // Equation 9 divides by alpha; the limit of 1.5 keeps it finite at alpha 0.
@@ -170,8 +175,8 @@ void main() {
   colour = vec4(clamp(rgb, 0.0, 1.0), 1.0 - transmittance); // premultiplied
 #if SCENE_DEPTH || PICKING
   float viewDepth = 0.0; // ray space, along the view axis; 0 where half of the light comes through
-  if (halfway >= 0) {
-    vec3 point = entry + (float(halfway) + 0.5) * direction;
+  if (halfway >= 0.0) {
+    vec3 point = entry + halfway * direction;
 #if FORWARD_FACING
     point = fromGrid(point);
 #endif
@@ -179,7 +184,7 @@ void main() {
   }
 #endif
 #if SCENE_DEPTH
-  gl_FragDepth = halfway >= 0 ? bufferFromView(viewDepth) : drawn;
+  gl_FragDepth = halfway >= 0.0 ? bufferFromView(viewDepth) : drawn;
 #endif
   if (linearOutput && colour.a > 0.0) colour.rgb = colour.a * linear(min(colour.rgb / colour.a, 1.0));
 #if PICKING

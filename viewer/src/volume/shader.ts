@@ -54,11 +54,11 @@ function ndcFunction(scene: SceneDescription, focal: readonly number[]): string 
   });
 }
 
-/** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texels of an atlas page. */
+/** rgbaAt or featureAt: the trilinear value in [0, 1] at a position in texture coordinates of an atlas page. */
 function texelLookup(kind: string, pages: number, squareRoots: boolean): string {
-  const signature = `vec4 ${kind}At(int page, vec3 texel)`;
-  if (!squareRoots) return pageLookup(kind, pages, signature, (name) => `textureLod(${name}, texel * texelSize, 0.0)`);
-  return blendOfSquares(kind) + pageLookup(kind, pages, signature, (name) => `${kind}Blend(${name}, texel)`);
+  const signature = `vec4 ${kind}At(int page, vec3 place)`;
+  if (!squareRoots) return pageLookup(kind, pages, signature, (name) => `textureLod(${name}, place, 0.0)`);
+  return blendOfSquares(kind) + pageLookup(kind, pages, signature, (name) => `${kind}Blend(${name}, place / texelSize)`);
 }
 
 /** rgbaBlend or featureBlend: the trilinear value of the squares of texels, which no filter of a texture gives. */
@@ -81,21 +81,17 @@ function blendOfSquares(kind: string): string {
   ].join("\n");
 }
 
-/** distanceAt: how many coarse voxels from a coarse voxel to the nearest of its cell that is not empty; 0 if it is not empty. */
+/** distanceAt: how many stencils from a stencil, named by its lowest texel, to the nearest of its cell that is not empty; 0 if it is not. */
 function distanceLookup(pages: number): string {
-  return pageLookup(
-    "distance",
-    pages,
-    "float distanceAt(int page, ivec3 coarse)",
-    (name: string) => `texelFetch(${name}, coarse, 0).r * 255.0`,
-  );
+  const read = (name: string) => `float(texelFetch(${name}, stencil, 0).r)`;
+  return pageLookup("distance", pages, "float distanceAt(int page, ivec3 stencil)", read, "usampler3D");
 }
 
 /** A function that reads the texture of a page. GLSL cannot index samplers by a variable, so that it compares page numbers. */
-function pageLookup(kind: string, pages: number, signature: string, read: (name: string) => string): string {
+function pageLookup(kind: string, pages: number, signature: string, read: (name: string) => string, sampler = "sampler3D"): string {
   const names = Array.from({ length: pages }, (_, page) => `${kind}_${page}`);
   const lines = names.map((name, page) => `  ${page < pages - 1 ? `if (page == ${page}) ` : ""}return ${read(name)};`);
-  return [...names.map((name) => `uniform sampler3D ${name};`), `${signature} {`, ...lines, "}", ""].join("\n");
+  return [...names.map((name) => `uniform ${sampler} ${name};`), `${signature} {`, ...lines, "}", ""].join("\n");
 }
 
 /**

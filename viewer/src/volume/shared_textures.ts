@@ -148,7 +148,6 @@ export class SharedTextures {
       if (--missing[layer] > 0) return;
       this.layersArrived++;
       if (filled) {
-        atlas.arrived(layer);
         for (const user of this.users) user.changed();
       } else if (this.layersArrived === enough) fill();
     };

@@ -58,7 +58,6 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
   private loading: Promise<void> | null = null;
   private shaders: [string, string] | null = null; // without and with the depth of what is drawn already; null until it is loaded
   private shared: SharedTextures | null = null; // null until `load`
-  private atlas: Atlas | null = null; // null until it is shown
   private readonly abort = new AbortController();
   private uneven = false;
   private picker: RawShaderMaterial | null = null; // null until it is loaded
@@ -158,7 +157,6 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
 
   private show(textures: AtlasTextures, atlas: Atlas, sceneDepth: boolean): void {
     const { uniforms } = this.material;
-    this.atlas = atlas;
     for (const kind of ["rgba", "feature", "distance"] as const) {
       textures[kind].forEach((texture, i) => {
         uniforms[`${kind}_${i}`] = { value: texture };
@@ -195,7 +193,6 @@ export class SnergVolume extends Mesh<BufferGeometry, RawShaderMaterial> {
       uniforms.sceneDepth.value = drawn;
     }
     uniforms.gridShape.value.set(...this.source.description.shape);
-    uniforms.featuresAbove.value = this.atlas?.strayFeatures ? -1 : 0;
     const view = viewUniforms(
       this.source.description,
       standing,
@@ -298,7 +295,6 @@ function makeMaterial(scene: SceneDescription): RawShaderMaterial {
     gridShape: { value: new Vector3(...scene.shape) },
     gridBlocks: { value: new Vector3(...scene.blocks) },
     linearOutput: { value: false },
-    featuresAbove: { value: 0 },
     sceneDepth: { value: null },
     depthTerms: { value: new Vector4() },
     logDepth: { value: new Vector2() },
