@@ -41,8 +41,8 @@ def field(tmp_path_factory, dataset):
 
 
 @pytest.fixture(scope="module")
-def studied(tmp_path_factory, field):
-    """A study that was stopped in the middle, and went on."""
+def begun(tmp_path_factory, field):
+    """A study that was stopped in the middle."""
     out, told = tmp_path_factory.mktemp("study") / "out", []
 
     def stop(fraction, message):
@@ -52,15 +52,23 @@ def studied(tmp_path_factory, field):
 
     with pytest.raises(Cancelled):
         study(field, out, settings=SETTINGS, progress=stop)
+    assert [f for f, _ in told] == sorted(f for f, _ in told)
+    return out
+
+
+@pytest.fixture(scope="module")
+def studied(begun, field, tmp_path_factory):
+    """The study after it went on."""
+    out = shutil.copytree(begun, tmp_path_factory.mktemp("finished") / "out")
     before = {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in (out / "rows").glob("*.json")}
     assert len(before) >= 3 and not (out / "study.json").exists()
     result = study(field, out, settings=SETTINGS)
     after = {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in (out / "rows").glob("*.json")}
     assert all(after[name] == kept for name, kept in before.items()), "what was finished is measured again"
-    assert [f for f, _ in told] == sorted(f for f, _ in told)
     return out, result
 
 
+@pytest.mark.slow
 def test_every_row_is_measured_and_each_claim_has_one(studied):
     out, result = studied
     value = json.loads((out / "study.json").read_text())
@@ -81,6 +89,7 @@ def test_every_row_is_measured_and_each_claim_has_one(studied):
         assert a["psnr"] < b["psnr"] or a["ms"] > b["ms"] or a["megabytes"] > b["megabytes"] or a["psnr"] == b["psnr"]
 
 
+@pytest.mark.slow
 def test_parameters_do_what_they_say(studied):
     rows = {row["key"]: row for row in json.loads((studied[0] / "study.json").read_text())["rows"] if row["config"]}
 
@@ -101,6 +110,7 @@ def test_parameters_do_what_they_say(studied):
     assert gain < 0 < half and difference(png, png) == (0, 0)
 
 
+@pytest.mark.slow
 def test_a_target_is_baked_and_has_what_was_measured(studied, field, dataset):
     out, _ = studied
     rows = [row for row in json.loads((out / "study.json").read_text())["rows"] if row["config"]]
@@ -120,6 +130,7 @@ def rows_of(rows, key):
     return next(row["psnr_of_views"][0] for row in rows if row["key"] == key)
 
 
+@pytest.mark.slow
 def test_a_baked_scene_is_stored_and_marched_otherwise(studied, field, dataset, tmp_path):
     bake_scene(field, tmp_path / "scene", BakeSettings(resolution=20), refine=False)
     result = study(tmp_path / "scene", tmp_path / "out", dataset, StudySettings(minutes=10, views=1))
@@ -157,9 +168,9 @@ def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
         (lambda out: (out / "about.json").unlink(), "holds other results"),
     ],
 )
-def test_what_an_earlier_study_left_is_never_overwritten(field, studied, tmp_path, spoil, told):
+def test_what_an_earlier_study_left_is_never_overwritten(field, begun, tmp_path, spoil, told):
     out = tmp_path / "out"
-    shutil.copytree(studied[0], out)
+    shutil.copytree(begun, out)
     spoil(out)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     with pytest.raises(SnergError, match=told):

@@ -93,6 +93,7 @@ def losses_of_one(dataset: Path, settings: TrainSettings) -> list[float]:
     return losses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [SETTINGS, HIERARCHICAL], ids=["packed", "hierarchical"])
 def test_four_devices_have_the_losses_of_one(dataset, tmp_path, settings):
     (said,) = children(dataset, tmp_path, settings, 1, 4)
@@ -100,6 +101,7 @@ def test_four_devices_have_the_losses_of_one(dataset, tmp_path, settings):
     np.testing.assert_allclose(said["losses"], losses_of_one(dataset, settings), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_two_processes_have_the_losses_of_one_and_only_the_first_writes(dataset, tmp_path):
     first, second = children(dataset, tmp_path, SETTINGS, 2, 2)
     assert first["devices"] == 4 and first["losses"] == second["losses"] and first["sums"] == second["sums"]
