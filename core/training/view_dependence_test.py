@@ -31,7 +31,7 @@ from .losses import mse_to_psnr
 from .ray_dataset import RayDataset
 from .validation import ValidationRays
 
-AT = 0.4  # fraction of the training after which the test runs: the network has learned highlights, and samples are as dense as at the end
+AT = 0.3  # fraction of the training after which the test runs: the network has learned highlights by then
 TRIAL = 0.1  # fraction of the training that a diffuse field has to show the rays as well as before
 RECOVERY = 200  # steps in which the colours take over the average of what the network added; there is no trial where TRIAL is shorter
 LEAST = 100  # steps before the test; after fewer the field is too rough to measure, and stays deferred

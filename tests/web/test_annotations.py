@@ -18,6 +18,8 @@ from snerg.tests.web.conftest import ROOT, opened
 from snerg.tests.web.test_access import AXE
 from snerg.tests.web.test_modules import node
 
+pytestmark = pytest.mark.slow
+
 Serve = Callable[[Path], str]
 CAMERAS = make_cameras()
 WIDTH = 560

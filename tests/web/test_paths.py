@@ -30,6 +30,8 @@ from snerg.tests.web.conftest import ROOT, opened, picture
 from snerg.tests.web.test_access import AXE
 from snerg.tests.web.test_modules import node
 
+pytestmark = pytest.mark.slow
+
 Serve = Callable[[Path], str]
 FAR = (1e6, -2e6, 5e5)
 SHAPE = (34, 30, 40)

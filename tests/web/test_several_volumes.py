@@ -23,6 +23,8 @@ from snerg.core.geometry.ndc import Ndc
 from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import ROOT, picture_of
 
+pytestmark = pytest.mark.slow
+
 Serve = Callable[[Path], str]
 WIDTH, HEIGHT = 72, 54
 

@@ -19,6 +19,8 @@ from snerg.core.rendering.render import render_scene
 from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import ROOT, opened, picture_of
 
+pytestmark = pytest.mark.slow
+
 Serve = Callable[[Path], str]
 WIDTH, HEIGHT = 200, 112  # of both eyes
 EYES = 0.064  # metres between them

@@ -340,7 +340,7 @@ def on_trial(views, monkeypatch) -> Trainer:
 def test_a_diffuse_field_that_shows_less_than_before_gives_way_to_the_deferred_one(views, monkeypatch, worse):
     trainer = on_trial(views, monkeypatch)
     trial, (field, arrays) = trainer.trial, trainer.checkpoint()
-    assert field.view == "deferred" and arrays["clock"][0] == 16 and trainer.state.undecided  # a save keeps what was before the trial
+    assert field.view == "deferred" and arrays["clock"][0] == 12 and trainer.state.undecided  # a save keeps what was before the trial
     before = [np.array(a) for a in field.network]
     while trainer.trial is not None:
         trainer.advance()
@@ -348,7 +348,7 @@ def test_a_diffuse_field_that_shows_less_than_before_gives_way_to_the_deferred_o
             error = float(trainer.errors(trial.rays).mean())
             trainer.trial = replace(trial, before=error * (0.99 if worse else 1.01))
         trainer.test_view_dependence()
-    assert trainer.state.step == 20 and not trainer.state.undecided and not trainer.prepared.rays.withheld.any()
+    assert trainer.state.step == 16 and not trainer.state.undecided and not trainer.prepared.rays.withheld.any()
     (decision,) = [d for d in trainer.state.decisions if d.effect == view_dependence_test.EFFECT]
     assert decision.chosen == trainer.field().view == ("deferred" if worse else "diffuse")
     assert decision.measured == pytest.approx(0.0436 if worse else -0.0432, abs=1e-3)
@@ -356,7 +356,7 @@ def test_a_diffuse_field_that_shows_less_than_before_gives_way_to_the_deferred_o
     if worse:
         assert all(np.array_equal(a, b) for a, b in zip(before, trainer.field().network, strict=True))
         trainer.advance()
-        assert trainer.state.step == 21 and not np.array_equal(before[0], trainer.field().network[0])  # and it goes on learning
+        assert trainer.state.step == 17 and not np.array_equal(before[0], trainer.field().network[0])  # and it goes on learning
 
 
 def test_short_trainings_have_no_trial(views, monkeypatch):
@@ -367,7 +367,7 @@ def test_short_trainings_have_no_trial(views, monkeypatch):
     while trainer.state.undecided:
         trainer.advance()
         trainer.test_view_dependence()
-    assert trainer.state.step == 16 and trainer.trial is None and trainer.state.view == "diffuse"
+    assert trainer.state.step == 12 and trainer.trial is None and trainer.state.view == "diffuse"
 
 
 def test_once_the_scene_is_found_diffuse_the_view_network_learns_nothing(views):
