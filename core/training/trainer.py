@@ -124,11 +124,12 @@ class Trainer:
             return self._end_trial(self.trial) if self.fraction() >= self.trial.ends else None
         if self.state.step < view_dependence_test.LEAST:
             return self.decide(view_dependence_test.too_short())
-        prepared, checkpoint = self.prepared, self.checkpoint()
+        prepared = self.prepared
         rays = view_dependence_test.tested_rays(prepared.rays, prepared.validation_views, prepared.settings)
-        decision, before = view_dependence_test.run(checkpoint[0], rays, prepared.validation_views), float(self.errors(rays).mean())
+        decision = view_dependence_test.run(self.field(), rays, prepared.validation_views)
         if self.devices.shared(decision.chosen == "deferred"):  # process 0 decides for all
             return self.decide(decision)
+        checkpoint, before = self.checkpoint(), float(self.errors(rays).mean())
         self.state = replace(self.state, params=self.devices.place(view_dependence_test.silenced(self.devices.local(self.state.params))))
         if view_dependence_test.TRIAL * self.state.step / self.fraction() < view_dependence_test.RECOVERY:
             return self.decide(decision)
