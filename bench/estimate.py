@@ -97,7 +97,7 @@ def compare(path: Path, probe: FieldProbe, settings: BakeSettings, folder: Path)
         "pairs": {name: [pair.estimated, pair.measured, pair.error] for name, pair in pairs.items()},
     }
     stages = report["seconds"]
-    return row, Measurement(probe, settings, stages["occupancy"], stages["prefilter"], preview, megabytes, peak_megabytes if peak else None)
+    return row, Measurement(probe, settings, stages["occupancy"], stages["prefilter"], preview, peak_megabytes if peak else None)
 
 
 def timed_preview(probe: FieldProbe, folder: Path) -> tuple[float, float]:

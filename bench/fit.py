@@ -1,8 +1,8 @@
 """Fits of the cost model's coefficients to measurements, for `make bench-estimate`.
 
 The model is affine in most coefficients: an estimate with the coefficient at 0 and at 1 gives the line. Each row then gives the value
-that would have been exact, and the median over the rows is the fit. The exponent of PNG bytes is fitted the same way in log space, and the
-two coefficients of memory together by least squares. Coefficients that no row determines keep their values.
+that would have been exact, and the median over the rows is the fit. The two coefficients of memory are fitted together by least squares.
+Coefficients that no row determines keep their values.
 """
 
 from __future__ import annotations
@@ -19,8 +19,6 @@ from snerg.core.study.coefficients import DEFAULT_COEFFICIENTS, Coefficients, ta
 from snerg.core.study.cost_model import Estimate, estimate
 from snerg.core.study.field_probe import FieldProbe
 
-MIN_FINER = 1.2  # ratio of resolutions from which a row says something about an exponent
-
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
@@ -31,7 +29,6 @@ class Measurement:
     occupancy: float  # seconds of the occupancy stage, compiling included
     prefilter: float  # seconds of the prefilter stage
     preview: float  # seconds of a picture of 800 x 800 pixels
-    megabytes: float  # of the scene as PNG
     peak_megabytes: float | None  # of memory, None where the system does not say
 
     def estimate(self, coefficients: Coefficients) -> Estimate:
@@ -44,12 +41,10 @@ class Measurement:
 def fit(measurements: Sequence[Measurement]) -> tuple[Coefficients, dict[str, int]]:
     """The coefficients that fit best, and of how many measurements each fitted one is."""
     fixed = [m for m in measurements if m.settings.supersampling]  # the others choose their samples within the prefilter stage
-    finer = [m for m in measurements if abs(np.log(_finer(m))) > np.log(MIN_FINER)]
     values: dict[str, list[float]] = {
         "occupancy_start": [_solve(m, "occupancy_start", _occupancy, m.occupancy) for m in measurements],
         "prefilter_factor": [_solve(m, "prefilter_factor", lambda e: e.seconds["prefilter"], m.prefilter) for m in fixed],
         "preview_factor": [_solve(m, "preview_factor", lambda e: e.preview, m.preview) for m in measurements],
-        "voxel_bytes_decay": [_solve(m, "voxel_bytes_decay", lambda e: np.log(e.megabytes), np.log(m.megabytes)) for m in finer],
     }
     fitted = {name: max(float(np.median(found)), 0.0) for name, found in values.items() if found}
     counts = {name: len(found) for name, found in values.items() if found}
@@ -60,11 +55,6 @@ def fit(measurements: Sequence[Measurement]) -> tuple[Coefficients, dict[str, in
         fitted |= {"cell_copies": float(copies), "process_bytes": 1e6 * float(process)}
         counts |= {"cell_copies": len(watched), "process_bytes": len(watched)}
     return replace(DEFAULT_COEFFICIENTS, **fitted), counts
-
-
-def _finer(measurement: Measurement) -> float:
-    probe = measurement.probe
-    return probe.pilot * measurement.settings.resolution / float(probe.field.domain.world_box().size.max())
 
 
 def _occupancy(estimated: Estimate) -> float:

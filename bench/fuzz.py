@@ -148,7 +148,20 @@ def subjects() -> list[Subject]:
         rates, two = Rates(**{one.name: 1.0 for one in fields(Rates)}), np.ones((2, 5), bool)
         nothing: Any = None
         looked = FieldProbe(
-            nothing, nothing, np.ones((5, 3)), 0.1, two[0], np.float64([2, 1]), two, two, (1, 2), (np.ones((4, 3)), 0.1), 0.1, rates, 1.0
+            nothing,
+            nothing,
+            np.ones((5, 3)),
+            0.1,
+            two[0],
+            np.float64([2, 1]),
+            two,
+            two,
+            (1, 2),
+            np.ones(2),
+            (np.ones((4, 3)), 0.1),
+            0.1,
+            rates,
+            1.0,
         )
         field_probe_file.write_field_probe(folder / "survey.npz", looked, "mark")
 

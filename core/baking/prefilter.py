@@ -60,7 +60,7 @@ def fill_atlas(
     def work(part: int) -> Arrays:
         row, *local = np.nonzero(unpack_mask(mask[chunks[part]]))
         voxels = coordinates[chunks[part]][row] * DATA_VOXELS + np.stack(local, axis=-1)
-        return {"values": _voxel_values(field, voxel_grid, voxels, channels, supersampling, seed, quantiser)}
+        return {"values": voxel_values(field, voxel_grid, voxels, channels, supersampling, seed, quantiser)}
 
     def is_valid(part: int, arrays: Arrays) -> bool:
         return arrays_match(arrays, {"values": ((int(sizes[chunks[part]].sum()), channels), kind)})
@@ -75,7 +75,7 @@ def fill_atlas(
     return cells, kept
 
 
-def _voxel_values(
+def voxel_values(
     field: Field, voxel_grid: VoxelGrid, voxels: NDArray[Any], channels: int, supersampling: int, seed: int, quantiser: Quantiser | None
 ) -> NDArray[Any]:
     """Values [N, C] of voxels with indices [N, 3], as cells store them."""

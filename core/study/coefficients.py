@@ -38,9 +38,6 @@ class Coefficients:
     sample_growth: float = _coefficient(
         0.1, "exponent", "power of the resolution by which a sample's time grows: memory accesses are further apart", BY_HAND
     )
-    voxel_bytes_decay: float = _coefficient(
-        0.06, "exponent", "power of the resolution by which a voxel's PNG bytes fall: neighbours are more alike", BENCH
-    )
     process_bytes: float = _coefficient(370e6, "bytes", "memory of a bake, whatever its size", PRESETS)
     refine_bytes: float = _coefficient(45e6, "bytes", "memory that fine-tuning adds: its pixels, and JAX's compiled steps", PRESETS)
     cell_copies: float = _coefficient(

@@ -102,16 +102,15 @@ def estimate(
     """The cost of a bake with `bake_field` and of a preview of `size` pixels, on this machine under the same load as during the probe.
 
     finishing: what is done after the bake; pruning takes time, but how many bytes it saves is not modelled. Files: a kept voxel takes as
-    many bytes as in the small bake, times the ratio of resolutions to the power -voxel_bytes_decay, and times `over_png`; a scene of floats
-    is not compressed. Preview: the same share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through
-    the field uncovers voxels. Raises SnergError for voxels so small that there would be too many, and for a voxel size in normalised device
-    coordinates.
+    many bytes as the probe measured at the nearest voxel sizes, times `over_png`; a scene of floats is not compressed. Preview: the same
+    share of pixels meets the scene as in the small bake. Not modelled: that a box which cuts through the field uncovers voxels. Raises
+    SnergError for voxels so small that there would be too many, and for a voxel size in normalised device coordinates.
     """
     counts, rates, field = _count(probe, box, settings), probe.rates, probe.field
     atlas_bytes = counts.blocks * CELL_VOXELS**3 * counts.channels * (1 if settings.quantise else 4)
     ray = rates.preview_ray * ray_slowdown(rates.preview_samples, rates.preview_growth, counts.finer, coefficients)
-    channels = DIFFUSE_CHANNELS if field.network is None else DEFERRED_CHANNELS  # of the small bake
-    png_bytes = counts.kept * rates.kept_voxel_bytes * counts.finer**-coefficients.voxel_bytes_decay * counts.channels / channels
+    channels = DIFFUSE_CHANNELS if field.network is None else DEFERRED_CHANNELS  # of what the probe measured
+    png_bytes = counts.kept * _at(probe, probe.kept_bytes, counts.grid.voxel_size) * counts.channels / channels
     seconds = _stage_seconds(probe, counts, settings, coefficients)
     seconds |= _finishing_seconds(probe, finishing, counts.channels == DEFERRED_CHANNELS, ray, coefficients)
     return Estimate(
@@ -233,8 +232,13 @@ def _points_inside(probe: FieldProbe, flags: NDArray[Any], inside: NDArray[Any],
     """How many of the probe's points inside a box (inside [M] bool) have a flag of `flags` [S, M], interpolated in the voxel size."""
     count = int(inside.sum())
     share = (flags[:, inside].sum(axis=1) + PRIOR_POINTS * flags.mean(axis=1)) / (count + PRIOR_POINTS)
+    return count * _at(probe, share, voxel_size)
+
+
+def _at(probe: FieldProbe, values: NDArray[Any], voxel_size: float) -> float:
+    """What the probe found at its voxel sizes, values [S], interpolated."""
     order = np.argsort(probe.voxels)
-    return count * float(np.interp(np.log(voxel_size), np.log(probe.voxels[order]), share[order]))
+    return float(np.interp(np.log(voxel_size), np.log(probe.voxels[order]), values[order]))
 
 
 def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficients = DEFAULT_COEFFICIENTS) -> dict[str, Any]:

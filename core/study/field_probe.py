@@ -18,25 +18,24 @@ from numpy.typing import NDArray
 from ..baking.bake import BakeSettings, bake, check_field
 from ..baking.jitter import voxel_uniform
 from ..baking.occupied_voxels import BLOCKS_PER_CHUNK, FAINT_DEPTH, block_optical_depth, candidate_blocks, cull_faint
+from ..baking.prefilter import Quantiser
 from ..baking.resume import THREADS
 from ..baking.supersampling import average_in_voxels, measure_supersampling
 from ..baking.visibility_rays import ray_grid
 from ..errors import SnergError
-from ..export.atlas import atlas_blocks, atlas_slices
-from ..export.codecs import PNG, images_of_slice
 from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays
-from ..io.images import png_bytes
 from ..nerf.field import CHUNK, Field
 from ..nerf.sampling import CELLS, Occupancy, cell_index, clip_rays
 from ..nerf.volume_rendering import optical_depth
 from ..rendering.acceleration import acceleration_of
 from ..rendering.render import TILE, MarchSettings, march_rays, render_scene, tiled_pixels
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates
-from ..scene.quantize import quantize
+from ..scene.quantize import quantize, quantize_roots
 from ..scene.scene import Scene
 from ..scene.voxel_grid import VoxelGrid
+from .voxel_bytes import kept_voxel_bytes
 
 POINTS = 4096  # random points of the occupied cells: counts of voxels have a standard error of about 2 %
 RESOLUTIONS = (128, 256, 512, 1024)  # voxels along the domain's longest side at which points are tested
@@ -75,7 +74,6 @@ class Rates:
     preview_view: float  # of a preview, apart from its rays
     preview_ray: float  # of a ray of a preview
     acceleration_block: float  # of a block, to build the acceleration structure
-    kept_voxel_bytes: float  # bytes of a kept voxel of the small bake as PNG
     preview_samples: float  # samples of a ray of a preview of the small bake
     preview_growth: float  # the power of the resolution with which they grow
     visibility_samples: float  # samples of a ray of the visibility stage of the small bake
@@ -98,6 +96,7 @@ class FieldProbe:
     held: NDArray[Any]  # [S, M] bool, whether a voxel there would hold something or border on one that does
     kept: NDArray[Any]  # [S, M] bool, whether a camera would see it too
     samples: tuple[int, ...]  # [S] samples a voxel that a bake would choose
+    kept_bytes: NDArray[Any]  # [S] bytes of a kept voxel as PNG
     filled: tuple[NDArray[Any], float]  # centres [N, 3] of the cubes that hold something, and their size
     pilot: float  # voxel size of the small bake
     rates: Rates
@@ -136,6 +135,7 @@ def probe_field(field: Field, seed: int = 0) -> FieldProbe:
         held=held,
         kept=kept,
         samples=samples,
+        kept_bytes=_kept_bytes(field, box, points, kept, voxels, quantize_roots if small.square_roots else quantize),
         filled=_occupied_cubes(small),
         pilot=small.voxel_size,
         rates=_measure_rates(field, grid, some, compile_seconds, query, small, coarser),
@@ -257,6 +257,19 @@ def _voxels_of(grid: VoxelGrid, points: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.floor(local).astype(np.int64))
 
 
+def _kept_bytes(
+    field: Field, box: Box, points: NDArray[Any], kept: NDArray[Any], voxels: NDArray[Any], quantiser: Quantiser
+) -> NDArray[Any]:
+    """`kept_voxel_bytes` for voxels of each size [S], of blocks that hold points [M, 3] whose voxels are kept there, bool [S, M]."""
+
+    def of_size(row: int) -> float:
+        grid = VoxelGrid.inside(box, float(voxels[row]))
+        blocks = np.unique(np.maximum(_voxels_of(grid, points[kept[row]]), 0) // DATA_VOXELS, axis=0)
+        return kept_voxel_bytes(field, grid, blocks[(blocks < grid.blocks).all(axis=-1)], quantiser)
+
+    return np.array(in_threads(of_size, range(len(voxels)))[0])
+
+
 def small_resolution(field: Field) -> int:
     """Resolution of the small bake: about PILOT_VOXELS voxels are in occupied cells."""
     occupied = CELLS**3 if field.occupancy is None else int(field.occupancy.sum())
@@ -279,7 +292,6 @@ def _measure_rates(
     visibility, preview, acceleration_block = _time_marching(small, views)
     preview_samples, preview_growth = sample_growth(small, coarser, views, MarchSettings())
     visibility_samples, visibility_growth = sample_growth(small, coarser, views, VISIBILITY_MARCH)
-    images = (image for part in atlas_slices(small.cells, atlas_blocks(len(small.cells))) for image in images_of_slice(part, PNG).values())
     return Rates(
         compile=compile_seconds,
         block_voxel=_time_blocks(field, grid, query),
@@ -291,7 +303,6 @@ def _measure_rates(
         preview_view=preview[0],
         preview_ray=preview[1],
         acceleration_block=acceleration_block,
-        kept_voxel_bytes=sum(len(png_bytes(image)) for image in images) / max(kept_voxels(small.about["bake"]), 1),
         preview_samples=preview_samples,
         preview_growth=preview_growth,
         visibility_samples=visibility_samples,
@@ -350,12 +361,6 @@ def _ray_count(camera: Camera) -> int:
 def _rays(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
     """Origins and directions [R, 3] of an image's rays, in tiles."""
     return camera.rays(tiled_pixels(camera.width, camera.height))
-
-
-def kept_voxels(report: dict[str, Any]) -> int:
-    """Voxels that a bake kept. report: what it says of itself, `about["bake"]`."""
-    voxels = report["voxels"]
-    return int(voxels["held"] if voxels["seen"] is None else voxels["seen"])
 
 
 def _time_marching(scene: Scene, views: Sequence[Camera]) -> tuple[tuple[float, float], tuple[float, float], float]:

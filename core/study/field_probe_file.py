@@ -22,8 +22,8 @@ from ..nerf.field import Field
 from ..nerf.reference_checkpoint import find_checkpoint
 from .field_probe import FieldProbe, Rates, coarse
 
-VERSION = 1
-ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples")
+VERSION = 2
+ARRAYS = ("points", "inside", "voxels", "held", "kept", "samples", "kept_bytes")
 FLAGS = ("inside", "held", "kept")  # the arrays of booleans
 RATE_KEYS = {  # names of the rates in files, which have been the same since the first version
     "compile": "start",
@@ -36,7 +36,6 @@ RATE_KEYS = {  # names of the rates in files, which have been the same since the
     "preview_view": "view",
     "preview_ray": "ray",
     "acceleration_block": "table",
-    "kept_voxel_bytes": "bytes",
     "preview_samples": "met",
     "preview_growth": "growth",
     "visibility_samples": "seen_met",
@@ -84,7 +83,16 @@ def checked(about: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> dict[str,
     Raises ValueError, KeyError or TypeError on a file that `write_field_probe` did not write.
     """
     m, s, n = len(arrays["points"]), len(arrays["voxels"]), len(arrays["filled"])
-    shapes = {"points": (m, 3), "inside": (m,), "voxels": (s,), "held": (s, m), "kept": (s, m), "samples": (s,), "filled": (n, 3)}
+    shapes = {
+        "points": (m, 3),
+        "inside": (m,),
+        "voxels": (s,),
+        "held": (s, m),
+        "kept": (s, m),
+        "samples": (s,),
+        "kept_bytes": (s,),
+        "filled": (n, 3),
+    }
     for name, shape in shapes.items():
         array = arrays[name]
         numbers(array.astype(np.uint8) if array.dtype == bool else array, name, shape)

@@ -24,6 +24,9 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
+from snerg.core.scene.blocks import block_coordinates
+from snerg.core.scene.quantize import quantize
+from snerg.core.scene.voxel_grid import VoxelGrid
 from snerg.core.training.config import TrainSettings
 
 ROOT = Path(__file__).parents[3]
@@ -86,6 +89,29 @@ def test_what_is_counted_is_what_is_baked(probed, resolution):
     assert said.blocks == pytest.approx(told["blocks"], rel=0.25)
     assert estimate(probed, BOX, replace(settings, visibility=False)).kept == said.held
     assert said.looked == pytest.approx(probed.field.occupancy.sum() * (resolution / CELLS) ** 3, rel=0.1)
+
+
+@dataclass(frozen=True, eq=False)
+class Textured(Ball):
+    """A ball with colours and features that differ from voxel to voxel."""
+
+    def evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phase = np.asarray(x, np.float64) @ np.linspace(12, 79, 21).reshape(3, 7)
+        noise = np.modf(np.sin(phase) * 43758.5)[0]
+        return super().evaluate(x)[0], (0.5 + 0.05 * noise).astype(np.float32)
+
+
+def test_bytes_of_some_blocks_are_those_of_all(tmp_path):
+    from snerg.core.study.voxel_bytes import kept_voxel_bytes
+
+    ball = Textured(density=3000.0)
+    scene = bake(ball, BOX, (), BakeSettings(resolution=128, supersampling=1))
+    write_scene(scene, tmp_path / "scene")
+    blocks, grid = block_coordinates(scene.indirection), VoxelGrid.inside(BOX, 2 / 128)
+    stored = sum(path.stat().st_size for path in (tmp_path / "scene").glob("[rf]*.png"))
+    whole = stored / scene.about["bake"]["voxels"]["held"]
+    assert 4 < whole < 9 and kept_voxel_bytes(ball, grid, blocks, quantize) == pytest.approx(whole, rel=0.1)
+    assert kept_voxel_bytes(ball, grid, blocks[:0], quantize) == 8.0
 
 
 def test_a_smaller_box_takes_less(probed):
@@ -240,15 +266,13 @@ def test_coefficients_are_found_again_from_what_they_estimate(probed, monkeypatc
 
     monkeypatch.syspath_prepend(ROOT / "bench")
     fit = importlib.import_module("fit")
-    true = Coefficients(
-        occupancy_start=0.3, prefilter_factor=1.4, preview_factor=0.6, voxel_bytes_decay=0.1, process_bytes=500e6, cell_copies=2.0
-    )
+    true = Coefficients(occupancy_start=0.3, prefilter_factor=1.4, preview_factor=0.6, process_bytes=500e6, cell_copies=2.0)
     measurements = []
     for resolution, samples in ((64, 1), (128, 4), (256, 2), (256, 0)):
-        made = fit.Measurement(probed, BakeSettings(resolution=resolution, supersampling=samples), 0.0, 0.0, 0.0, 0.0, None).estimate(true)
+        made = fit.Measurement(probed, BakeSettings(resolution=resolution, supersampling=samples), 0.0, 0.0, 0.0, None).estimate(true)
         seconds = made.seconds["start"] + made.seconds["occupancy"], made.seconds["prefilter"]
         settings = BakeSettings(resolution=resolution, supersampling=samples)
-        measurements.append(fit.Measurement(probed, settings, *seconds, made.preview, made.megabytes, made.peak_megabytes))
+        measurements.append(fit.Measurement(probed, settings, *seconds, made.preview, made.peak_megabytes))
     found, counts = fit.fit(measurements)
     assert counts["preview_factor"] == 4 and counts["prefilter_factor"] == 3 and "ray_overhead" not in counts
     for name in vars(true):

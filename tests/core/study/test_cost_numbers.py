@@ -34,7 +34,6 @@ RATES = Rates(
     preview_view=0.05,
     preview_ray=3e-6,
     acceleration_block=1e-4,
-    kept_voxel_bytes=2.5,
     preview_samples=8.0,
     preview_growth=0.4,
     visibility_samples=5.0,
@@ -46,7 +45,6 @@ TABLE = Coefficients(
     preview_factor=0.6,
     ray_overhead=6.0,
     sample_growth=0.1,
-    voxel_bytes_decay=0.1,
     process_bytes=500e6,
     refine_bytes=70e6,
     cell_copies=2.0,
@@ -101,6 +99,7 @@ def probe() -> FieldProbe:
         held=held,
         kept=kept,
         samples=(1, 2, 16),
+        kept_bytes=np.array([2.5, 2.0, 1.0]),
         filled=(centres, 0.05),
         pilot=0.08,
         rates=RATES,
@@ -191,8 +190,10 @@ def test_finishing_takes_its_rays_and_its_fixed_time(probe: FieldProbe) -> None:
 
 
 def test_bytes_are_those_of_kept_voxels_and_memory_those_of_the_greatest_stage(probe: FieldProbe) -> None:
-    found, finer = said(probe), 0.08 / 0.05
-    assert found.megabytes == pytest.approx(12800 * 2.5 * finer**-0.1 / 1e6)
+    found = said(probe)
+    assert found.megabytes == pytest.approx(12800 * 2.0 / 1e6)
+    between = estimate(probe, BOX, BakeSettings(voxel_size=0.05**0.5 * 0.1**0.5), coefficients=TABLE)
+    assert 1e6 * between.megabytes / between.kept == pytest.approx(2.25, rel=1e-3)
     atlas = found.blocks * 32**3 * 8
     assert found.blocks > 0 and found.peak_megabytes == pytest.approx((500e6 + 2.0 * atlas + 70e6) / 1e6)
     settings = BakeSettings(voxel_size=0.05, supersampling=2)
