@@ -43,7 +43,7 @@ def estimate(
     """The estimated time and memory of training a dataset, or of baking, storing and previewing a field, on this machine (JAX).
 
     size: pixels of the preview (width, height). probe: a file that keeps the field probe; it is used again while the field and the
-    machine are the same. Returns JSON values: of a dataset as `cost_model.training`, of a field as `Estimate.to_json`.
+    machine are the same. Returns JSON values: of a dataset as `training_cost.training`, of a field as `Estimate.to_json`.
     codec: of the scene's images. Raises SnergError when the path is neither, the field cannot be baked, or the codec is lossy.
     """
     if not codec.lossless:
@@ -53,10 +53,10 @@ def estimate(
         raise SnergError(f"{path} is a {kind}, which is baked already; give a dataset or a field.")
     with needs_jax():
         import jax  # noqa: F401  # timing compiles
-    from ..study import cost_model
+    from ..study import cost_model, training_cost
 
     if kind == "dataset":
-        return {"kind": kind, "path": str(path), **cost_model.training(read_dataset(path, "train", options), training)}
+        return {"kind": kind, "path": str(path), **training_cost.training(read_dataset(path, "train", options), training)}
     found = _field_probe(path, probe, progress)
     volume = Box.read(box) if box is not None else found.field.domain.world_box()
     result = cost_model.estimate(found, volume, settings, finishing, size, codec=codec)

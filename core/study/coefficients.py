@@ -54,13 +54,19 @@ class Coefficients:
     fit_seconds: float = _coefficient(6.0, "s", "of fitting voxels, whatever the rays: compiling, and measuring views kept out", BY_HAND)
     fit_copies: float = _coefficient(6.0, "", "float copies of the fitted voxels: values, two moments and what a step makes", BY_HAND)
     fit_pixel_bytes: float = _coefficient(60.0, "bytes", "memory of a fit for each pixel marched: those that hit have ten samples", BY_HAND)
-    step_queries: float = _coefficient(
-        4.0, "queries", "time of a sample of a training step in queries of the field: forward, backward and the optimizer", TRAININGS
+    step_updates: float = _coefficient(
+        1.15, "", "time of a training step over that of an update of its parameters by random samples: rays are drawn", TRAININGS
     )
     set_up_seconds: float = _coefficient(
         15.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
-    training_bytes: float = _coefficient(820e6, "bytes", "memory of a training, whatever its images", PRESETS)
+    training_bytes: float = _coefficient(680e6, "bytes", "memory of a training, whatever its images and parameters", PRESETS)
+    parameter_copies: float = _coefficient(
+        14.0,
+        "",
+        "float copies of a training's parameters: Adam's moments, the gradient, their means, and what is kept during a trial",
+        PRESETS,
+    )
     pixel_bytes: float = _coefficient(10.0, "bytes", "memory of a training for each pixel of its images", PRESETS)
 
 

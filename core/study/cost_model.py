@@ -1,4 +1,4 @@
-"""The cost model: the time, memory and bytes of a bake, its files and a preview, or of a training, before they begin.
+"""The cost model: the time, memory and bytes of a bake, its files and a preview, before they begin.
 
 `estimate` counts the voxels, blocks and samples that each stage processes, from a field probe (field_probe.py), and multiplies them with
 the times that the probe measured and with coefficients (coefficients.py). It takes milliseconds, so that it follows a box that is dragged.
@@ -6,7 +6,6 @@ the times that the probe measured and with coefficients (coefficients.py). It ta
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -21,15 +20,10 @@ from ..baking.occupied_voxels import candidate_blocks
 from ..baking.prune import PRUNING_PIXELS
 from ..baking.ray_samples import FIT_PASSES, FIT_PIXELS, FIT_RAYS
 from ..baking.supersampling import MAX_SUPERSAMPLING, REFERENCE_SAMPLES_PER_VOXEL, TEST_RAY_VOXELS, TEST_RAYS
-from ..data.dataset import Dataset
 from ..export.codecs import PNG, CodecSettings
 from ..geometry.box import Box
-from ..nerf.field import Field
-from ..nerf.model import init_field
-from ..nerf.sampling import Domain
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS
 from ..scene.voxel_grid import VoxelGrid
-from ..training.config import TrainSettings
 from .coefficients import DEFAULT_COEFFICIENTS, Coefficients
 from .field_probe import FieldProbe, visibility_rays
 
@@ -239,37 +233,3 @@ def _at(probe: FieldProbe, values: NDArray[Any], voxel_size: float) -> float:
     """What the probe found at its voxel sizes, values [S], interpolated."""
     order = np.argsort(probe.voxels)
     return float(np.interp(np.log(voxel_size), np.log(probe.voxels[order]), values[order]))
-
-
-def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficients = DEFAULT_COEFFICIENTS) -> dict[str, Any]:
-    """The cost of a training: {"seconds", "set_up_seconds", "steps", "step_seconds", "peak_megabytes"} (JAX).
-
-    A step's time is measured by queries of an untrained field of the same kind; reading images, by the first image.
-    """
-    samples = settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
-    step = coefficients.step_queries * samples * query_seconds(settings)
-    began = time.perf_counter()
-    dataset.read(0)
-    reading = (time.perf_counter() - began) * len(dataset.views)
-    seconds = settings.steps * step if settings.steps is not None else float(settings.seconds or 0)
-    pixels = sum(camera.width * camera.height for camera in dataset.cameras)
-    return {
-        "seconds": round(seconds, 1),
-        "set_up_seconds": round(coefficients.set_up_seconds + reading, 1),
-        "steps": settings.steps if settings.steps is not None else int(seconds / step),
-        "step_seconds": round(step, 5),
-        "peak_megabytes": round((coefficients.training_bytes + coefficients.pixel_bytes * pixels) / 1e6),
-    }
-
-
-def query_seconds(settings: TrainSettings, points: int = 2**17) -> float:
-    """Seconds that a point takes in a query of an untrained field of these settings, compiling left out (JAX)."""
-    rng = np.random.default_rng(0)
-    params = init_field(settings.family, "deferred", rng)["field"]
-    domain = Domain.around(np.full(3, -1.0), np.full(3, 1.0))
-    field = Field(settings.family, params, None, domain, None, settings.spacing)
-    x = rng.uniform(-1, 1, (points, 3)).astype(np.float32)
-    field.evaluate(x[:1])
-    began = time.perf_counter()
-    field.evaluate(x)
-    return (time.perf_counter() - began) / points

@@ -22,6 +22,7 @@ from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
+from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
 from snerg.core.scene.blocks import block_coordinates
@@ -232,12 +233,12 @@ def test_a_length_is_none_in_device_coordinates(probed):
 
 def test_a_training_is_so_many_steps(dataset):
     pytest.importorskip("jax")
-    from snerg.core.study.cost_model import training
+    from snerg.core.study.training_cost import training
 
-    data = read_dataset(dataset)
-    timed = training(data, TrainSettings(seconds=60.0))
+    data, small = read_dataset(dataset), HashModelConfig(HashGrid(2, 4, 8, 2, 8), 8)
+    timed = training(data, TrainSettings(small, seconds=60.0))
     assert timed["seconds"] == 60 and timed["steps"] == pytest.approx(60 / timed["step_seconds"], rel=0.02)
-    counted = training(data, TrainSettings(seconds=None, steps=100))
+    counted = training(data, TrainSettings(small, seconds=None, steps=100))
     assert counted["steps"] == 100 and counted["seconds"] > 0 and counted["peak_megabytes"] > 500
 
 
