@@ -14,7 +14,7 @@ from snerg.core.data.readers.camera_files import write_transforms
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.ndc import Ndc
 from snerg.core.io.images import to_uint8, write_png
-from snerg.core.nerf.model import SHAPES, ViewNetwork
+from snerg.core.nerf.model import SHAPES, ViewNetwork, with_frequencies
 from snerg.core.rendering.render import render_scene
 from snerg.core.scene.blocks import CELL_VOXELS, DATA_VOXELS
 from snerg.core.scene.scene import Scene, blocks_of
@@ -38,6 +38,13 @@ def random_network(seed: int = 0) -> ViewNetwork:
     arrays[4] *= 0.7
     arrays[5] = arrays[5] - 1.5
     return ViewNetwork(*(a.astype(np.float32) for a in arrays))
+
+
+def two_frequencies(network: ViewNetwork) -> ViewNetwork:
+    """The network of a training that uses two of the four frequencies of the direction's encoding, as most do; one more weight is 0."""
+    first, *rest = with_frequencies({"view": tuple(network)}, 2)["view"]
+    first[0, 0] = 0
+    return ViewNetwork(first, *rest)
 
 
 def volume(shape: tuple[int, int, int], fog: bool = True) -> np.ndarray:

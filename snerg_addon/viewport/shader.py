@@ -141,8 +141,9 @@ def network(weights: ViewNetwork) -> str:
 
 
 def layer(name: str, inputs: list[str], weights: np.ndarray, bias: np.ndarray) -> list[str]:
-    """Lines of a hidden layer of 16 with its ReLU, as four vec4."""
+    """Lines of a hidden layer of 16 with its ReLU, as four vec4. An input without weights has no line: most trainings use two of the four
+    frequencies."""
     lines = [f"  vec4 {name}{i} = {vector(bias[4 * i : 4 * i + 4])};" for i in range(4)]
-    for text, row in zip(inputs, weights, strict=True):
+    for text, row in ((text, row) for text, row in zip(inputs, weights, strict=True) if row.any()):
         lines += [f"  {name}{i} += {text} * {vector(row[4 * i : 4 * i + 4])};" for i in range(4)]
     return lines + [f"  {name}{i} = max({name}{i}, vec4(0.0));" for i in range(4)]

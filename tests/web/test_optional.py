@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from scenes import make_cameras, make_snerg
+from scenes import make_cameras, make_snerg, two_frequencies
 from snerg.core.export import bundle
 from snerg.core.export.annotations import Annotation
 from snerg.core.export.bundle import VIEWER, write_bundle
@@ -39,9 +40,10 @@ def test_a_bundle_holds_what_its_scene_calls_for(tmp_path: Path, network: bool) 
     assert {name for name in names if name.startswith("optional/")} == {"optional/benchmark.js"}
 
 
-@pytest.mark.parametrize("network", [False, True])
-def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, serve: Serve, network: bool) -> None:
-    """A diffuse scene has no network and no feature textures in the code that the driver compiles."""
+@pytest.mark.parametrize("frequencies", [0, 2, 4], ids=["diffuse", "two frequencies", "four frequencies"])
+def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, serve: Serve, frequencies: int) -> None:
+    """A diffuse scene has no network and no feature textures in the code that the driver compiles; a network, no inputs without weights."""
+    network = frequencies > 0
     page.add_init_script("""
         window.shaders = [];
         const source = WebGL2RenderingContext.prototype.shaderSource;
@@ -52,13 +54,17 @@ def test_the_shader_holds_what_its_scene_calls_for(page: Page, tmp_path: Path, s
     """)
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
-    write_bundle(make_snerg(shape=(20, 20, 20), diffuse=not network), make_cameras()[:1], tmp_path / "web")
+    scene = make_snerg(shape=(20, 20, 20), diffuse=not network)
+    scene = replace(scene, network=two_frequencies(scene.network)) if frequencies == 2 else scene
+    write_bundle(scene, make_cameras()[:1], tmp_path / "web")
     assert opened(page, serve(tmp_path / "web") + "?width=80&height=60") is None
     marching = [text for text in page.evaluate("window.shaders") if "rgbaAt(" in text]
     assert marching
     for text in marching:
         assert ("vec3 viewDependentColour(" in text) == network
         assert ("sampler3D feature_0" in text) == network
+        assert ("sin(2.0 * direction)" in text) == network and text.count(" += i0.x * ") == 4 * network
+        assert ("sin(8.0 * direction)" in text) == ("cos(4.0 * direction)" in text) == (frequencies == 4)
     assert any("/feature_" in url for url in asked) == network
 
 

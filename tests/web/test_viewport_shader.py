@@ -15,7 +15,7 @@ import pytest
 from playwright.sync_api import Page
 
 from oracle import dense_march, trilinear
-from scenes import looking, make_cameras, make_roots, make_snerg, snerg_from_volume
+from scenes import looking, make_cameras, make_roots, make_snerg, random_network, snerg_from_volume, two_frequencies
 from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.camera import Camera
 from snerg.core.scene.scene import Scene
@@ -105,7 +105,7 @@ def stray() -> Scene:
     values[12:20, 12:18, 16:24, 7] = 60
     pose = np.eye(4)
     pose[:3, 3] = -np.array(values.shape[:3]) / 30
-    return snerg_from_volume(values, make_snerg((20, 20, 20)).network, grid_to_world=pose, voxel_size=2 / 30)
+    return snerg_from_volume(values, two_frequencies(random_network()), grid_to_world=pose, voxel_size=2 / 30)
 
 
 def sparse() -> Scene:
@@ -195,6 +195,13 @@ def test_the_viewport_shows_what_is_marched(page: Page, given: Path, name: str) 
         assert np.mean(error < 1.5 * LEVEL) >= (0.998 if scene.network is not None else 1.0), (
             f"{camera.name}: {error.max() / LEVEL:.1f} levels"
         )
+
+
+def test_inputs_without_weights_are_not_in_the_code(given: Path) -> None:
+    whole, half = ((given / name / "shader.glsl").read_text() for name in ("network", "stray"))
+    for function in ("sin", "cos"):
+        assert all(f"{function}(({scale}.0 * direction).x)" in whole for scale in (2, 4, 8))
+        assert f"{function}((2.0 * direction).x)" in half and f"{function}((4.0" not in half and f"{function}((8.0" not in half
 
 
 @pytest.mark.parametrize("index", [0, 1], ids=["perspective", "parallel"])

@@ -134,12 +134,16 @@ function firstLayerProducts(layer: string, weights: readonly number[][]): string
     const components = Array.from(type === "vec4" ? "xyzw" : "xyz", (component) => `i${i}.${component}`);
     const rows = weights.slice(row, row + components.length);
     row += components.length;
-    return [`  ${type} i${i} = ${expression};`, ...addProducts(layer, components, rows)];
+    const products = addProducts(layer, components, rows);
+    return products.length > 0 ? [`  ${type} i${i} = ${expression};`, ...products] : [];
   });
 }
 
 /** 16 values as four vec4. */
 const fourVectors = (values: readonly number[]) => [0, 4, 8, 12].map((i) => glslVector(values.slice(i, i + 4)));
 const startLayer = (layer: string, bias: readonly number[]) => fourVectors(bias).map((value, i) => `  vec4 ${layer}${i} = ${value};`);
+/** Products of inputs with their rows of weights. An input without weights has none: most trainings use two of the four frequencies. */
 const addProducts = (layer: string, inputs: readonly string[], rows: readonly number[][]) =>
-  inputs.flatMap((input, k) => fourVectors(rows[k]).map((value, i) => `  ${layer}${i} += ${input} * ${value};`));
+  inputs.flatMap((input, k) =>
+    rows[k].some((weight) => weight !== 0) ? fourVectors(rows[k]).map((value, i) => `  ${layer}${i} += ${input} * ${value};`) : [],
+  );
