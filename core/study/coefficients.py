@@ -15,7 +15,7 @@ from typing import Any
 BENCH = "bench-estimate, five fields at 128 to 512 voxels"
 BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
 PRESETS = "by hand from bench-presets, three fields at 128 and 256 voxels, and Lego at 512"
-SET_UP = "by hand from two trainings of one step: 21 s of the processor, 12 s of them, the compiling, on two cores"
+SET_UP = "by hand from the set-up of two trainings of 20 minutes, 10 s each on two cores, most of it compiling"
 TRAININGS = "by hand from single trainings; bench-estimate does not refit it"
 
 
@@ -58,7 +58,7 @@ class Coefficients:
         1.15, "", "time of a training step over that of an update of its parameters by random samples: rays are drawn", TRAININGS
     )
     set_up_seconds: float = _coefficient(
-        15.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
+        10.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
     training_bytes: float = _coefficient(680e6, "bytes", "memory of a training, whatever its images and parameters", PRESETS)
     parameter_copies: float = _coefficient(
