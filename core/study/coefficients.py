@@ -60,14 +60,14 @@ class Coefficients:
     set_up_seconds: float = _coefficient(
         10.0, "s", "of a training apart from its steps and reading images: start, visual hull, compiling on two cores, and saving", SET_UP
     )
-    training_bytes: float = _coefficient(680e6, "bytes", "memory of a training, whatever its images and parameters", PRESETS)
+    training_bytes: float = _coefficient(920e6, "bytes", "memory of a training, whatever its images and parameters", PRESETS)
     parameter_copies: float = _coefficient(
         14.0,
         "",
         "float copies of a training's parameters: Adam's moments, the gradient, their means, and what is kept during a trial",
         PRESETS,
     )
-    pixel_bytes: float = _coefficient(10.0, "bytes", "memory of a training for each pixel of its images", PRESETS)
+    pixel_bytes: float = _coefficient(3.7, "bytes", "memory of a training for each pixel of its images", PRESETS)
 
 
 DEFAULT_COEFFICIENTS = Coefficients()
