@@ -14,9 +14,14 @@ VENV := $(if $(filter 3.11,$(VERSION)),.venv,.venv-$(VERSION))$(if $(BPY),-bpy$(
 PY := $(VENV)/bin/python
 TYPED := -p snerg.core -p snerg.operators -p snerg.snerg_addon
 
-.PHONY: setup demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport proof fuzz mutation hard-cases test test-slow test-blender lint format extension release docs pictures clean python
+.PHONY: setup parts demo bench-train bench-estimate bench-presets bench-page bench-grid bench-viewport proof fuzz mutation hard-cases test test-slow test-blender lint format extension release docs pictures clean python
 
-setup: $(VENV)/.installed build/viewer.stamp
+# Python's packages and the web viewer at the same time, once it is known that Python will do.
+setup: python
+	@+$(MAKE) --no-print-directory --jobs=2 parts
+
+parts: $(VENV)/.installed build/viewer.stamp
+	@:
 
 python:
 	@case "$(VERSION)" in \
@@ -28,7 +33,7 @@ python:
 $(VENV)/.installed: requirements.txt pyproject.toml | python
 	test -x $(PY) || "$(INTERPRETER)" -m venv $(VENV) || { rm -rf $(VENV); echo "This Python cannot make virtual environments; install its venv module." >&2; exit 2; }
 	sed '$(if $(BPY),s/^bpy==.*/bpy==$(BPY)/)' requirements.txt > $(VENV)/requirements.txt
-	$(PY) -m pip install --disable-pip-version-check -q -r $(VENV)/requirements.txt
+	$(PY) -m pip install --disable-pip-version-check -q --no-compile -r $(VENV)/requirements.txt # what is imported is compiled then
 	$(PY) -m pip install --disable-pip-version-check -q --no-deps --no-build-isolation -e .
 	touch $@
 
