@@ -361,7 +361,7 @@ class CanvasViewer implements Viewer {
     try {
       await this.growing.restore();
     } catch {
-      return this.fail(new ViewerError(LOST)); // the files inside a page can be read once
+      return this.fail(new ViewerError(LOST));
     }
     this.renderer.restart();
   }
