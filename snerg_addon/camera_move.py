@@ -26,7 +26,7 @@ from .shots import active_at
 from .simulations import unbaked
 
 T = TypeVar("T")
-SLICE_SECONDS = 0.3  # that the window waits for a part of the evaluation
+SLICE_SECONDS = 0.1  # that the window waits for a part of the evaluation, where no frame takes longer by itself
 _counted: dict[int, tuple[Any, str]] = {}  # by the scene: what was counted, and for which settings
 
 
@@ -56,15 +56,14 @@ def camera_move_steps(scene: bpy.types.Scene, box: Box | None, seconds: float = 
         there = [thing for thing in wanted[frame] if thing is not None]
         return {thing.name_full: camera_from_blender(thing, depsgraph.scene_eval, depsgraph) for thing in there}
 
-    if any(unbaked(scene, after)):
-        seconds = math.inf  # a simulation goes on from the frame before
+    simulated = any(unbaked(scene, after))  # such a simulation goes on from the frame before: no slices
     found: list[dict[str, Camera]] = []
-    pace = seconds
+    pace = math.inf if simulated else seconds
     while len(found) < len(wanted):
         left, began = list(wanted)[len(found) :], time.monotonic()
-        found += evaluate_frames(scene, left, read, list(dict.fromkeys(active.values())), pace)
-        # Each evaluation begins with the whole scene: where that takes long, as much time for frames follows it.
-        pace = max(seconds, (time.monotonic() - began) / 2)
+        found += evaluate_frames(scene, left, read, list(dict.fromkeys(active.values())), pace, alone=not simulated)
+        # Each evaluation begins with all that the cameras depend on: where that takes long, half as much time for frames follows it.
+        pace = max(seconds, (time.monotonic() - began - pace) / 2)
         yield 0.9 * len(found) / len(wanted), f"frame {len(found)} of {len(wanted)}"
     by_frame = dict(zip(wanted, found, strict=True))
     shots = []
@@ -102,8 +101,11 @@ def thin(keys: Sequence[tuple[int, Camera]], box: Box | None) -> Generator[None,
     """A shot with as few keys as its tolerance allows, in steps. Raises SnergError where the camera is panoramic."""
     shot = Shot(tuple(float(frame) for frame, _ in keys), tuple(camera for _, camera in keys))
     corners = None if box is None else box.corners()
-    depths = np.array([depths_of(camera, corners) for camera in shot.cameras])
-    return (yield from thin_steps(shot, depths, shot.cameras[0].position if box is None else box.box_to_world[:3, 3]))
+    depths = []
+    for camera in shot.cameras:
+        depths.append(depths_of(camera, corners))
+        yield
+    return (yield from thin_steps(shot, np.array(depths), shot.cameras[0].position if box is None else box.box_to_world[:3, 3]))
 
 
 def depths_of(camera: Camera, corners: np.ndarray | None) -> tuple[float, float]:

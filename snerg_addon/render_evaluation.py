@@ -76,23 +76,26 @@ def evaluate_frames(
     read: Callable[[bpy.types.Depsgraph, int], T],
     needed: Sequence[bpy.types.Object] = (),
     seconds: float = math.inf,
+    alone: bool = False,
 ) -> list[T]:
     """What `read` returns for each of some frames, in one evaluation, which redoes only what changes; else as `evaluate_render`.
 
-    seconds: after which it stops; the rest of the frames are left out, but not the first.
+    seconds: after which it stops; the rest of the frames are left out, but not the first. alone: whether only `needed` is evaluated, with
+    all that it depends on. Simulations without a baked cache need the whole scene, which holds what they collide with.
     """
 
     def read_all(depsgraph: bpy.types.Depsgraph, set_frame: SetFrame) -> list[T]:
         found: list[T] = []
         until = time.monotonic() + seconds
         for frame in frames:
-            if found and time.monotonic() > until:
-                break
-            set_frame(frame, 0.0)
+            if found:  # the first is evaluated already
+                if time.monotonic() > until:
+                    break
+                set_frame(frame, 0.0)
             found.append(read(depsgraph, frame))
         return found
 
-    return _evaluate(scene, read_all, needed, frames[0], "")
+    return _evaluate(scene, read_all, needed, frames[0], "", alone)
 
 
 def _evaluate(
@@ -101,8 +104,9 @@ def _evaluate(
     needed: Sequence[bpy.types.Object],
     frame: int | None,
     layer: str,
+    alone: bool = False,
 ) -> T:
-    """See `evaluate_render`."""
+    """See `evaluate_render` and `evaluate_frames`."""
     found: list[T] = []
     failed: list[Exception] = []
 
@@ -114,6 +118,8 @@ def _evaluate(
 
     with linked_copy(scene, frame) as copy, temporary_camera() as camera:
         keep_layer(copy, layer)
+        if alone:
+            unlink_all(copy)
         depend_on(camera, needed)
         copy.collection.objects.link(camera)
         copy.camera, copy.render.engine = camera, engine()
@@ -176,6 +182,14 @@ def keep_layer(scene: bpy.types.Scene, name: str) -> None:
     for layer in [layer for layer in scene.view_layers if layer != kept]:
         scene.view_layers.remove(layer)
     scene.view_layers[0].use = True
+
+
+def unlink_all(scene: bpy.types.Scene) -> None:
+    """Leave a copy of a scene without objects."""
+    for thing in list(scene.collection.objects):
+        scene.collection.objects.unlink(thing)
+    for collection in list(scene.collection.children):
+        scene.collection.children.unlink(collection)
 
 
 @contextmanager

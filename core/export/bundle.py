@@ -60,9 +60,9 @@ def write_bundle(
     cameras: the cameras that the page lists, but for wide ones; it opens at the first. single_file: write index.html alone, with the
     rest inside. source: the folder that `scene` was read from; its files are copied unchanged, so that a lossy codec is not applied twice;
     exact ones are written anew where that brings the cells that the first camera sees to the front (see cell_order.py).
-    The poster is the first camera's picture, which the page shows until the scene has arrived. A folder of a scene that is not small also
-    holds coarse/, which the page shows as soon as somebody moves. path: a camera path that the page can play; path.json and the
-    code that plays it are there only with one.
+    The poster is the first camera's picture, which the page shows until the scene has arrived. A page of a scene that is not small also
+    holds coarse/, which it shows as soon as somebody moves, and where a device does not hold the whole. path: a camera path that the page
+    can play; path.json and the code that plays it are there only with one.
     Not all browsers decode JPEG XL: with it, the scene's images are written a second time, as WebP, and the page asks its browser.
     Returns {"files": their number, "bytes": their total size}. Raises SnergError when `folder` cannot be written, the viewer is not
     built, or browsers cannot show the scene or decode the codec.
@@ -74,7 +74,7 @@ def write_bundle(
     first = cameras[0] if cameras else path.camera_at(path.start) if path else None
     poster = poster_bytes(scene, first, page, within(progress, 0.0, POSTER_END)) if first else None
     small = thumbnails(scene, cameras, page, within(progress, POSTER_END, THUMBNAILS_END)) if page.thumbnails else []
-    coarse = not single_file and len(scene.cells) >= COARSE_FROM
+    coarse = len(scene.cells) >= COARSE_FROM
     listed = cameras_json(cameras, len(small)) | _flags(coarse=coarse, path=path is not None)
     if coarse and first:
         scene, source, listed["layers"] = _in_order(scene, first, codec, source, within(progress, THUMBNAILS_END, ORDER_END))

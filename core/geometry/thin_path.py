@@ -15,6 +15,7 @@ from .camera_state import PLAIN, PLAIN_OF_CURVE, ROTATION, TURN, blended, curved
 from .rotation import product
 
 T = TypeVar("T")
+CHUNK = 250  # frames that a step looks at: some milliseconds
 TOLERANCE = 0.25  # pixels by which a thinned path may show a point elsewhere
 STILL = 1e-3  # pixels by which a camera that stands still may move: rounding of Blender's float32 matrices
 CURVE_PAYS = 3  # times as far as a line must a curve go: in a file it takes the room of two keys
@@ -42,7 +43,7 @@ def drained(steps: Generator[Any, None, T]) -> T:
 def thin_steps(
     shot: Shot, depths: NDArray[np.float64], centre: NDArray[np.float64], tolerance: float = TOLERANCE
 ) -> Generator[None, None, Shot]:  # fmt: skip
-    """`thinned`, one key a step, so that a window can answer meanwhile. depths: [keys, 2]. centre: [3]."""
+    """`thinned` in steps of CHUNK frames, so that a window can answer meanwhile. depths: [keys, 2]. centre: [3]."""
     found = [(yield from _thinned(Shot(shot.frames, shot.cameras), depths, tolerance))]
     if len(found[0].frames) > 2:
         axes = np.array([camera.camera_to_world[:3, 2] for camera in shot.cameras])
@@ -63,36 +64,35 @@ def looked_at(places: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray
 
 def _thinned(shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Generator[None, None, Shot]:
     """From each key to the farthest frame that a line or a curve reaches within the tolerance."""
-    samples = Samples.of(shot, depths, tolerance)
+    samples = yield from Samples.steps_of(shot, depths, tolerance)
     chosen, curves, end = [0], [], len(shot.frames) - 1
     while chosen[-1] < end:
         first = chosen[-1]
-        last, curve = farthest(samples.line_fits, first, first + 1, end), None
+        last, curve = (yield from farthest(samples.line_fits, first, first + 1, end)), None
         far = min(first + max(CURVE_PAYS * (last - first), SHORTEST_CURVE), end)
-        if last < end and far - first >= SHORTEST_CURVE and samples.curve_fits(first, far):
-            last = farthest(samples.curve_fits, first, far, end)
+        if last < end and far - first >= SHORTEST_CURVE and (yield from samples.curve_fits(first, far)):
+            last = yield from farthest(samples.curve_fits, first, far, end)
             curve = samples.curve(first, last)
         chosen.append(last)
         curves.append(curve)
-        yield
     if len(chosen) == 2 and samples.still:
         chosen, curves = chosen[:1], []
     frames, distances = (tuple(values[i] for i in chosen) for values in (shot.frames, shot.distances))
     return Shot(frames, tuple(shot.cameras[i] for i in chosen), distances, tuple(curves))
 
 
-def farthest(fits: Callable[[int, int], bool], first: int, known: int, end: int) -> int:
+def farthest(fits: Callable[[int, int], Generator[None, None, bool]], first: int, known: int, end: int) -> Generator[None, None, int]:
     """The last index up to `end` with fits(first, index), where `known` fits: by doubling the way, then by halving what is between."""
     good, bad = known, end + 1
     while good < end:
         tried = min(first + 2 * (good - first), end)
-        if not fits(first, tried):
+        if not (yield from fits(first, tried)):
             bad = tried
             break
         good = tried
     while bad - good > 1:
         tried = (good + bad) // 2
-        if fits(first, tried):
+        if (yield from fits(first, tried)):
             good = tried
         else:
             bad = tried
@@ -110,25 +110,30 @@ class Samples:
     tolerance: float  # pixels
 
     @classmethod
-    def of(cls, shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Samples:
-        """The samples of a shot. depths: [keys, 2], as of `thinned`; tolerance: pixels."""
-        states = np.array([state_of(camera, distance) for camera, distance in zip(shot.cameras, shot.distances, strict=True)])
-        return cls(np.array(shot.frames, np.float64), states, depths, shot.cameras[0], tolerance)
+    def steps_of(cls, shot: Shot, depths: NDArray[np.float64], tolerance: float) -> Generator[None, None, Samples]:
+        """The samples of a shot, in steps. depths: [keys, 2], as of `thinned`; tolerance: pixels."""
+        states = []
+        for index, (camera, distance) in enumerate(zip(shot.cameras, shot.distances, strict=True)):
+            states.append(state_of(camera, distance))
+            if index % CHUNK == CHUNK - 1:
+                yield
+        return cls(np.array(shot.frames, np.float64), np.array(states), depths, shot.cameras[0], tolerance)
 
     @property
     def still(self) -> bool:
         """Whether the last state looks like the first."""
         return bool(pixel_errors(self.states[:1], self.states[-1:], self.like, self.depths[:1])[0] <= STILL)
 
-    def line_fits(self, first: int, last: int) -> bool:
-        """Whether linear interpolation shows all that is between."""
+    def line_fits(self, first: int, last: int) -> Generator[None, None, bool]:
+        """Whether linear interpolation shows all that is between, in steps."""
         parts, _ = self._parts(first, last)
-        return self._near(first, last, blended(self.states[first], self.states[last], parts))
+        return (yield from self._near(first, last, blended(self.states[first], self.states[last], parts)))
 
-    def curve_fits(self, first: int, last: int) -> bool:
-        """Whether a curve shows all that is between."""
+    def curve_fits(self, first: int, last: int) -> Generator[None, None, bool]:
+        """Whether a curve shows all that is between, in steps."""
         parts, length = self._parts(first, last)
-        return self._near(first, last, curved(self.states[first], self.states[last], self.curve(first, last), length, parts))
+        guess = curved(self.states[first], self.states[last], self.curve(first, last), length, parts)
+        return (yield from self._near(first, last, guess))
 
     def curve(self, first: int, last: int) -> NDArray[np.float64]:
         """The curve [2, 11] that is nearest, by least squares, to the states between; of those that are as near, the straightest."""
@@ -147,10 +152,17 @@ class Samples:
         length = float(self.frames[last] - self.frames[first])
         return (self.frames[first + 1 : last] - self.frames[first]) / length, length
 
-    def _near(self, first: int, last: int, guess: NDArray[np.float64]) -> bool:
-        inside = slice(first + 1, last)
-        errors = pixel_errors(self.states[inside], guess, self.like, self.depths[inside])
-        return bool(errors.max(initial=0.0) <= self.tolerance)
+    def _near(self, first: int, last: int, guess: NDArray[np.float64]) -> Generator[None, None, bool]:
+        """Whether the states between two look as those of `guess` [last - first - 1, 14] do."""
+        for start in range(first + 1, last, CHUNK):
+            some = slice(start, min(start + CHUNK, last))
+            guessed = guess[start - first - 1 :][:CHUNK]
+            errors = pixel_errors(self.states[some], guessed, self.like, self.depths[some])
+            near = bool(errors.max(initial=0.0) <= self.tolerance)
+            yield
+            if not near:
+                return False
+        return True
 
 
 def fitted_turn(

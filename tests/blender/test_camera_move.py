@@ -16,8 +16,10 @@ from snerg.core.geometry.box import Box
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.camera_path import CameraPath, path_bytes
 from snerg.core.geometry.thin_path import TOLERANCE
+from snerg.snerg_addon import camera_move as camera_move_module
+from snerg.snerg_addon import render_evaluation
 from snerg.snerg_addon.bridge import camera_from_blender
-from snerg.snerg_addon.camera_move import camera_move, camera_move_steps, is_animated, may_move
+from snerg.snerg_addon.camera_move import SLICE_SECONDS, camera_move, camera_move_steps, is_animated, may_move
 from snerg.snerg_addon.shots import active_at
 
 BOX = Box.axis_aligned([-0.8] * 3, [0.8] * 3)
@@ -168,6 +170,75 @@ def test_a_move_in_slices_is_the_same(stage: Any) -> None:
     stage.collection.objects.link(body)
     body.modifiers.new("Cloth", "CLOTH")
     assert next(camera_move_steps(stage, BOX, 1e-9))[1] == "frame 16 of 16"
+
+
+class Clock:
+    """A clock that stands still until somebody sets it forward."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def monotonic(self) -> float:
+        return self.seconds
+
+    def forward(self, seconds: float) -> float:
+        self.seconds += seconds
+        return 0.0
+
+
+def test_a_slice_is_as_long_as_its_work(stage: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most SLICE_SECONDS and three frames: two that an evaluation begins with, and the one that it is in. What no camera depends on
+    takes nothing."""
+    turntable(stage)
+    other = bpy.data.objects.new("Crowd", None)
+    stage.collection.objects.link(other)
+    clock, frame_seconds = Clock(), 0.04
+    monkeypatch.setattr(camera_move_module, "time", clock)
+    monkeypatch.setattr(render_evaluation, "time", clock)
+    monkeypatch.setitem(bpy.app.driver_namespace, "slow", lambda: clock.forward(frame_seconds))
+    monkeypatch.setitem(bpy.app.driver_namespace, "slower", lambda: clock.forward(10.0))
+    stage.camera.driver_add("delta_location", 0).driver.expression = "slow() + 0 * frame"
+    other.driver_add("location", 0).driver.expression = "slower() + 0 * frame"
+    stage.frame_set(7)
+    steps, slices = camera_move_steps(stage, BOX, SLICE_SECONDS), []
+    for part in range(8):
+        began = clock.seconds
+        said = next(steps)
+        slices.append(clock.seconds - began)
+        assert said[1].startswith("frame ") and said[1] != f"frame {part + 1} of 41", "more than one frame a slice"
+    steps.close()
+    assert min(slices) > 0 and max(slices) < SLICE_SECONDS + 3 * frame_seconds
+    stage.camera.driver_remove("delta_location", 0)
+    bpy.data.objects.remove(other)
+
+
+def test_a_camera_depends_on_what_is_hidden_and_elsewhere(stage: Any) -> None:
+    """It follows the vertex of a mesh that a modifier of renders moves, in a collection that the view layer leaves out."""
+    away = bpy.data.collections.new("Away")
+    stage.collection.children.link(away)
+    mesh = bpy.data.meshes.new("Sheet")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [], [(0, 1, 2)])
+    sheet, control = bpy.data.objects.new("Sheet", mesh), bpy.data.objects.new("Control", None)
+    for thing in (sheet, control):
+        away.objects.link(thing)
+    keyed(control, "location", (11, (0, 0, 0)), (51, (0, 0, 2)))
+    sheet.vertex_groups.new(name="All").add([0, 1, 2], 1.0, "REPLACE")
+    hook = sheet.modifiers.new("Hook", "HOOK")
+    hook.object, hook.vertex_group = control, "All"
+    bpy.context.view_layer.update()
+    hook.matrix_inverse = control.matrix_world.inverted()
+    stage.camera.location = (0, 0, 0)
+    stage.camera.constraints.new("COPY_LOCATION").target = sheet
+    stage.camera.constraints[0].subtarget = "All"
+    stage.frame_set(7)
+    assert worst_pixels(stage, camera_move(stage, BOX)) < TOLERANCE
+    before = camera_move(stage, BOX)
+    stage.view_layers[0].layer_collection.children["Away"].exclude = True
+    sheet.hide_render = True
+    after = camera_move(stage, BOX)
+    assert path_bytes(after) == path_bytes(before)
+    heights = [after.camera_at(frame).position[2] for frame in (11, 50)]
+    assert heights[1] - heights[0] > 1.5
 
 
 def test_markers_are_cuts(stage: Any) -> None:

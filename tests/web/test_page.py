@@ -453,10 +453,9 @@ def test_a_lost_context_is_rebuilt(page: Page, made: Path, serve: Serve) -> None
     assert page.evaluate("window.snerg.problem") is None and near(picture(page), truth(0))
 
 
-def test_a_lost_context_of_a_single_file_says_so(page: Page, tmp_path: Path) -> None:
-    """Its files were taken out of the page to free memory."""
-    write_bundle(make_snerg(shape=(20, 20, 20)), make_cameras(), tmp_path / "web", single_file=True)
-    assert opened(page, (tmp_path / "web" / "index.html").as_uri()) is None
+def test_a_lost_context_where_files_have_gone_says_so(page: Page, made: Path, serve: Serve) -> None:
+    assert opened(page, serve(made)) is None
+    page.route("**/scene/rgba*", lambda route: route.fulfill(status=404))
     page.locator("#canvas").evaluate(LOSE)
     page.get_by_role("alert").wait_for()
     assert "graphics driver was reset" in page.get_by_role("alert").inner_text()

@@ -134,6 +134,7 @@ def test_edges_are_smooth_at_rest(page: Page, small: Path, serve: Serve, motion:
     assert opened(page, serve(small) + "?width=80&height=60&ui=none#quality=full") is None
     page.evaluate("window.snerg.settled()")
     page.evaluate(FAST)
+    page.evaluate("window.snerg.settled()")
     page.evaluate(f"{{ window.shown = []; {VIEWER}.on('image', ({{ full, samples }}) => window.shown.push([full, samples])); null; }}")
     page.evaluate(f"{VIEWER}.goTo({index})")
     smooth, camera = picture(page), make_cameras()[index].resized(80, 60)
@@ -282,17 +283,17 @@ def test_the_quality_is_changed(page: Page, large: Path, serve: Serve) -> None:
     """From the whole scene to the coarse one, and back."""
     assert opened(page, serve(large) + SIZE + "#quality=full") is None
     whole, coarse = march(make_cameras()[0], LARGE), render_scene(coarse_scene(make_snerg(shape=LARGE)), make_cameras()[0]).over()
-    page.evaluate(f"{VIEWER}.scene.description.cells += 600")  # as if it were larger
+    page.evaluate(f"{VIEWER}.growing.scene.description.cells += 600")  # as if it were larger
     page.get_by_role("combobox", name="Quality").select_option("phone")
     page.locator("#notice").wait_for(state="visible")
-    assert page.evaluate(f"{VIEWER}.volume.source.description.shape") == list(coarse_scene(make_snerg(shape=LARGE)).shape)
+    assert page.evaluate(f"{VIEWER}.growing.volume.source.description.shape") == list(coarse_scene(make_snerg(shape=LARGE)).shape)
     page.get_by_role("button", name="Close this message").click()
     assert np.abs(picture(page) - coarse).mean() < 1 / 255
     page.wait_for_url("**#*quality=phone*")
-    page.evaluate(f"{VIEWER}.scene.description.cells -= 600")
+    page.evaluate(f"{VIEWER}.growing.scene.description.cells -= 600")
     page.get_by_role("combobox", name="Quality").select_option("auto")
     page.wait_for_url("**#*quality=auto*")
-    page.evaluate(f"{VIEWER}.filling")
+    page.evaluate(f"{VIEWER}.growing.filling")
     assert page.locator("#notice").is_hidden()
     assert np.abs(picture(page) - whole).max() < 3 / 255, "a picture of a given size is exact where nobody chose"
 

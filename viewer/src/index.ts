@@ -3,23 +3,22 @@ export { type PartName, readCameras, type SnergCamera, type WorldUnits } from ".
 export { ChosenFiles, EmbeddedFiles, type FileSource, type SceneFiles, ServerFiles } from "./data/files";
 export type { SceneDescription } from "./data/scene";
 export { type LoadOptions, type LoadProgress, SnergScene } from "./data/snerg_scene";
-export { ViewerError } from "./errors";
+export { asViewerError, ViewerError } from "./errors";
 export type { BenchmarkOptions, BenchmarkResult } from "./optional/benchmark";
 export { CameraPath, type PathCamera, PathPlayer, type PathState, pathOf } from "./optional/path";
 export { defineElement, SnergViewerElement } from "./viewer/element";
+export type {
+  Bundle,
+  Lent,
+  ProjectedPoint,
+  ScenePoint,
+  Viewer,
+  ViewerEvents,
+  ViewerOptions,
+  ViewerState,
+} from "./viewer/interface";
 export type { Colour, ShownImage } from "./viewer/progressive_renderer";
 export type { QualityName } from "./viewer/quality";
-export {
-  asViewerError,
-  type Bundle,
-  createViewer,
-  type Lent,
-  type ProjectedPoint,
-  type ScenePoint,
-  type Viewer,
-  type ViewerEvents,
-  type ViewerOptions,
-  type ViewerState,
-} from "./viewer/viewer";
+export { createViewer } from "./viewer/viewer";
 export { threeCamera } from "./volume/three_camera";
 export { type GrowthOptions, SnergVolume, type VolumeOptions } from "./volume/volume";

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from scenes import looking
 from snerg.core.errors import SnergError
+from snerg.core.geometry import thin_path
 from snerg.core.geometry.camera import Camera
 from snerg.core.geometry.camera_path import CameraPath, Shot, path_bytes
 from snerg.core.geometry.camera_state import pixel_errors, state_of
@@ -172,6 +173,30 @@ def test_an_eased_move_has_few_keys(turn: float) -> None:
     points = np.random.default_rng(2).uniform(-0.8, 0.8, (100, 3))
     for frame, truth in zip(frames, cameras, strict=True):
         assert np.abs(truth.project(points)[0] - shot.camera_at(frame).project(points)[0]).max() < TOLERANCE
+
+
+def test_a_step_compares_few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long the move is, and whether its lines and curves fit: so that a window answers meanwhile."""
+    frames = np.arange(120.0)
+    shot = Shot(tuple(frames), tuple(camera(looking((math.sin(u / 10), -5, 1), (0, 0, 0))) for u in frames))
+    compared = [0]
+
+    def counting(a: np.ndarray, *more: object) -> np.ndarray:
+        compared[-1] += len(a)
+        return pixel_errors(a, *more)
+
+    monkeypatch.setattr(thin_path, "pixel_errors", counting)
+    monkeypatch.setattr(thin_path, "CHUNK", 20)
+    steps = thin_path.thin_steps(shot, np.array([[3.5, 7.0]] * 120), np.zeros(3))
+    while True:
+        try:
+            next(steps)
+            compared.append(0)
+        except StopIteration as end:
+            found = end.value
+            break
+    assert max(compared) <= 20 and sum(compared) > 500
+    assert 3 < len(found.frames) < 40
 
 
 def test_noise_keeps_its_lines() -> None:

@@ -64,6 +64,14 @@ export async function readCameras(source: FileSource, name: string, signal?: Abo
   return { cameras, coarse: value.coarse === true, path: value.path === true, layers, parts, units: unitsOf(value.units) };
 }
 
+/** The index of a camera by its name, or by its index as text; -1 if there is none. */
+export function findCamera(cameras: readonly SnergCamera[], text: string | null): number {
+  if (text === null) return -1;
+  const named = cameras.findIndex((camera) => camera.name === text);
+  if (named >= 0) return named;
+  return /^\d+$/.test(text) && Number(text) < cameras.length ? Number(text) : -1;
+}
+
 /** Units as a file gives them; metres where they are missing or damaged. */
 function unitsOf(value: unknown): WorldUnits {
   const { metres, system } = (value ?? {}) as Partial<WorldUnits>;

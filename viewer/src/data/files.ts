@@ -92,9 +92,11 @@ export class ChosenFiles implements FileSource {
   }
 }
 
+const taken = new Map<string, Blob>(); // files that were read from the page, by their paths: browsers put large ones on the disk
+
 /**
- * Files inside the page, as base64 in script elements with `data-file="<folder>/<name>"`. Each can be read once: reading removes its
- * text from the page, to free memory.
+ * Files inside the page, as base64 in script elements with `data-file="<folder>/<name>"`. Reading one removes its text from the page, to
+ * free memory; it can be read again.
  */
 export class EmbeddedFiles implements FileSource {
   constructor(private readonly folder: string) {}
@@ -106,15 +108,15 @@ export class EmbeddedFiles implements FileSource {
 
   async read(name: string): Promise<Uint8Array> {
     const path = this.folder + name;
+    const known = taken.get(path);
+    if (known) return new Uint8Array(await known.arrayBuffer());
     const element = document.querySelector(`script[data-file="${CSS.escape(path)}"]`);
     if (!element) throw new ViewerError(`The file ${path} is missing from this page. ${EXPORT_AGAIN}`);
     const text = element.textContent ?? "";
     element.remove();
-    try {
-      return fromBase64(text);
-    } catch {
-      throw new ViewerError(`The file ${path} in this page is damaged. ${EXPORT_AGAIN}`);
-    }
+    const bytes = fromBase64(text, path);
+    taken.set(path, new Blob([bytes]));
+    return bytes;
   }
 }
 
@@ -134,11 +136,16 @@ export async function readJson(source: FileSource, name: string, signal?: AbortS
   }
 }
 
-function fromBase64(text: string): Uint8Array {
-  const native = (Uint8Array as unknown as { fromBase64?: (text: string) => Uint8Array }).fromBase64;
-  if (native) return native(text);
-  const binary = atob(text);
-  const bytes = new Uint8Array(binary.length);
-  for (let i = 0; i < bytes.length; i++) bytes[i] = binary.charCodeAt(i);
-  return bytes;
+/** Throws a ViewerError that names the file. */
+function fromBase64(text: string, path: string): Uint8Array<ArrayBuffer> {
+  const native = (Uint8Array as unknown as { fromBase64?: (text: string) => Uint8Array<ArrayBuffer> }).fromBase64;
+  try {
+    if (native) return native(text);
+    const binary = atob(text);
+    const bytes = new Uint8Array(binary.length);
+    for (let i = 0; i < bytes.length; i++) bytes[i] = binary.charCodeAt(i);
+    return bytes;
+  } catch {
+    throw new ViewerError(`The file ${path} in this page is damaged. ${EXPORT_AGAIN}`);
+  }
 }

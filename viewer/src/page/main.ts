@@ -1,8 +1,8 @@
 // The exported page: one <snerg-viewer>, and the address that says what it shows.
+import { asViewerError } from "../errors";
 import { TRANSPARENT } from "../viewer/backdrop";
 import { defineElement, type SnergViewerElement } from "../viewer/element";
 import { readView, writeView } from "../viewer/shared_view";
-import { asViewerError } from "../viewer/viewer";
 
 const WRITE_DELAY = 250; // milliseconds without a change after which the address follows the view
 

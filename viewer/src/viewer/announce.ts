@@ -1,6 +1,6 @@
 // Says in words what the picture shows, for people who do not see it: how far the scene has arrived, the camera, how one moves.
+import type { Viewer } from "./interface";
 import type { Mode } from "./navigation";
-import type { Viewer } from "./viewer";
 
 const AFTER = 700; // milliseconds without a change after which the view is told
 const PARTS = ["", "A quarter of the scene has arrived.", "Half of the scene has arrived.", "Three quarters of the scene have arrived."];

@@ -1,6 +1,6 @@
 // The choice of what is behind the scene: swatches, any colour, and the page's own picture.
 import { colourOf, hexOf, IMAGE, TRANSPARENT } from "./backdrop";
-import type { Viewer } from "./viewer";
+import type { Viewer } from "./interface";
 
 const WITHOUT = "white"; // where nothing that is a background is asked for
 

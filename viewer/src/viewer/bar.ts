@@ -1,10 +1,11 @@
 // The bar below the picture: cameras, sharing, pictures, full screen, help, and the keys for them.
+import { findCamera } from "../data/cameras";
 import type { Backgrounds } from "./backgrounds";
 import { Gallery, labelOf } from "./gallery";
+import type { Viewer } from "./interface";
 import type { QualityChoice } from "./quality_choice";
 import { type SharedView, writeView } from "./shared_view";
 import { steer } from "./steering";
-import { findCamera, type Viewer } from "./viewer";
 
 export const MAX_SIDE = 8192; // pixels of a picture that may be asked for
 const FLIGHT = 1; // seconds from one camera to another

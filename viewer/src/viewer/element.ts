@@ -1,5 +1,6 @@
 // <snerg-viewer>: a viewer with its bar, its progress and its messages.
-import type { ViewerError } from "../errors";
+import { findCamera } from "../data/cameras";
+import { asViewerError, type ViewerError } from "../errors";
 import { loadOptional } from "../load_optional";
 import type { BenchmarkResult } from "../optional/benchmark";
 import type { PathBar } from "../optional/path";
@@ -7,13 +8,14 @@ import { Announcer } from "./announce";
 import { colourOf } from "./backdrop";
 import { Backgrounds } from "./backgrounds";
 import { Bar, MAX_SIDE } from "./bar";
+import type { Viewer } from "./interface";
 import { MODES } from "./navigation";
 import { qualityOf } from "./quality";
 import { QualityChoice } from "./quality_choice";
 import { Shortcuts } from "./shortcuts";
 import style from "./style.css";
 import template from "./template.html";
-import { asViewerError, createViewer, findCamera, type Viewer } from "./viewer";
+import { createViewer } from "./viewer";
 
 const HINT_SHOWN = 1500; // milliseconds
 const FLIGHT = 1.2; // seconds to the camera of an annotation

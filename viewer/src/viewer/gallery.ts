@@ -1,5 +1,5 @@
 // The cameras as small pictures: a button in the bar that shows the present one, and a dialog to choose from.
-import type { Viewer } from "./viewer";
+import type { Viewer } from "./interface";
 
 const COUNTED = /^(r|v|img|image|frame|view|cam|camera|dsc|dji|pxl)?[ _.-]*\d+$/i; // names that a program gave
 

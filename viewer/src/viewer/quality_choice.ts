@@ -1,6 +1,6 @@
 // The list of quality presets in the bar. Its first entry lets the device choose, and says what it chose.
+import type { Viewer } from "./interface";
 import { AUTOMATIC, qualityOf } from "./quality";
-import type { Viewer } from "./viewer";
 
 const LABELS = { phone: "Phone", balanced: "Balanced", full: "Full" } as const;
 

@@ -1,6 +1,6 @@
 // How one moves: the choice between orbit, flight and walk, and the stick for those who have no keys.
+import type { Viewer } from "./interface";
 import { MODES, type Mode } from "./navigation";
-import type { Viewer } from "./viewer";
 
 const DEAD = 0.12; // of the stick's radius, around its middle
 

@@ -1,5 +1,5 @@
 // The labels in the page: HTML over the canvas, so that people can select, hear and reach them with the keyboard.
-import type { ProjectedPoint } from "../../viewer/viewer";
+import type { ProjectedPoint } from "../../viewer/interface";
 import { addStyle, barButton, draw, followView, makeDrawing, makeElement, onStill, type PartHost, shape, undoAtEnd } from "../parts/host";
 import { placeLabels } from "./layout";
 import { type Annotation, readAnnotations } from "./read";

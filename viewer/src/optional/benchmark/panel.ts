@@ -1,6 +1,6 @@
 // The benchmark as a dialog: its progress, its result as text, and the result as a file.
-import type { Viewer } from "../../viewer/viewer";
-import { asViewerError } from "../../viewer/viewer";
+import { asViewerError } from "../../errors";
+import type { Viewer } from "../../viewer/interface";
 import type { BenchmarkResult } from "./measure";
 import { type BenchmarkKind, KINDS } from "./path";
 

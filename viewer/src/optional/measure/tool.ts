@@ -1,5 +1,5 @@
 // The mode in which two points are picked: a bar over the picture, a cross for keys, and a line with its length for each pair.
-import type { ScenePoint } from "../../viewer/viewer";
+import type { ScenePoint } from "../../viewer/interface";
 import {
   addStyle,
   barButton,

@@ -1,5 +1,5 @@
 // What optional parts of the page share: where they are put, their style, their buttons, and lines over the picture.
-import type { Viewer } from "../../viewer/viewer";
+import type { Viewer } from "../../viewer/interface";
 
 /** The element that a part is added to. */
 export interface PartHost {

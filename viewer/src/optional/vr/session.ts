@@ -1,8 +1,8 @@
 // A session in a headset: the scene is drawn for each eye; sticks and hands move it around the person.
 import { type Box3, Color, PerspectiveCamera, Scene, SRGBColorSpace, type XRTargetRaySpace } from "three";
 import { matrixOfRows } from "../../data/scene";
+import type { Lent } from "../../viewer/interface";
 import type { ShownImage } from "../../viewer/progressive_renderer";
-import type { Lent } from "../../viewer/viewer";
 import { sphereOf } from "../../volume/volume";
 import { addStyle, barButton, makeElement, type PartHost, undoAtEnd } from "../parts/host";
 import { Movement } from "./movement";
