@@ -62,10 +62,7 @@ class Coefficients:
     )
     training_bytes: float = _coefficient(920e6, "bytes", "memory of a training, whatever its images and parameters", PRESETS)
     parameter_copies: float = _coefficient(
-        14.0,
-        "",
-        "float copies of a training's parameters: Adam's moments, the gradient, their means, and what is kept during a trial",
-        PRESETS,
+        4.0, "", "float copies of the parameters of a training: Adam's moments, and the gradient", PRESETS
     )
     pixel_bytes: float = _coefficient(3.7, "bytes", "memory of a training for each pixel of its images", PRESETS)
 
