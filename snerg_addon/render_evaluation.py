@@ -164,6 +164,7 @@ def linked_copy(scene: bpy.types.Scene, frame: int | None = None) -> Iterator[bp
     """A linked copy of the scene with one view layer and without camera markers, at `frame` (default: the scene's own)."""
     copy, camera = scene.copy(), scene.camera
     try:
+        copy.render.use_persistent_data = False  # the engine would stay, and meet the next scene that Blender puts at the same address
         copy.timeline_markers.clear()  # markers can bind another camera to the frame
         if frame is not None:
             copy.frame_current, copy.frame_subframe = frame, 0.0

@@ -109,10 +109,12 @@ def _centre_samples(scene: bpy.types.Scene) -> Iterator[None]:
             "samples": 1,
             "use_adaptive_sampling": False,
             "use_denoising": False,
+            "use_sample_subset": False,  # Cycles keeps depth at sample 0 alone, which a subset may lack
+            "sample_offset": 0,
             "pixel_filter_type": "BOX",
             "filter_width": CENTRE_WIDTH,
         }
-        wanted += [(scene.cycles, name, value) for name, value in one.items()]
+        wanted += [(scene.cycles, name, value) for name, value in one.items() if hasattr(scene.cycles, name)]
     elif hasattr(scene, "eevee"):
         wanted.append((scene.eevee, "taa_render_samples", 1))
     before = [(thing, name, getattr(thing, name)) for thing, name, _ in wanted]
@@ -127,7 +129,8 @@ def _centre_samples(scene: bpy.types.Scene) -> Iterator[None]:
 
 def _rendered(scene: bpy.types.Scene) -> dict[str, np.ndarray]:
     """The channels of the first view layer of Blender's render result, float32 [H, W], by name."""
-    image, result = scene.render.image_settings, bpy.data.images.get("Render Result")
+    image = scene.render.image_settings
+    result = next((image for image in bpy.data.images if image.type == "RENDER_RESULT"), None)  # an artist's image may have its name
     if result is None:
         raise SnergError("Blender keeps no render result to take depth from; turn the passes off.")
     before = [(name, getattr(image, name)) for name in FILE_SETTINGS if hasattr(image, name)]

@@ -14,7 +14,7 @@ from ..data.load import DEFAULT_OPTIONS, read_dataset
 from ..errors import SnergError, needs_jax
 from ..export.codecs import LOSSLESS, PNG, CodecSettings
 from ..geometry.box import Box
-from ..progress import Progress, silent
+from ..progress import Progress, silent, within
 from ..training.config import PRESETS, TrainSettings
 from .command import Command, table
 from .options import add_bake_options, add_codec_options, artifact, codec_settings, count, positive
@@ -73,8 +73,7 @@ def _field_probe(path: Path, kept: Path | None, progress: Progress) -> FieldProb
     mark, field = stamp(path), open_field(path)
     probe = read_field_probe(kept, mark, lambda: field) if kept is not None else None
     if probe is None:
-        progress(0.1, "Probing the field")
-        probe = probe_field(field)
+        probe = probe_field(field, progress=within(progress, 0.1, 1.0))
         if kept is not None:
             write_field_probe(kept, probe, mark)
     return probe

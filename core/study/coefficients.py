@@ -11,7 +11,7 @@ from typing import Any
 
 # bench-estimate on five fields (Lego, fern, fox, and a matte and a mirror-like scene rendered in Blender), 128 to 512 voxels along the
 # longest side with 1, 2, 4 and automatic samples a voxel, on a processor with 2 cores. Of 20 configurations the estimates of a bake's
-# time, memory and bytes were all within 25 %, and 15 of those of a preview's time.
+# time and memory were all within 25 %, and 15 of those of a preview's time. Bytes need no coefficient: the probe measures them.
 BENCH = "bench-estimate, five fields at 128 to 512 voxels"
 BY_HAND = "by hand from the same runs; bench-estimate does not refit it"
 PRESETS = "by hand from bench-presets, three fields at 128 and 256 voxels, and Lego at 512"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from ..baking.bake import BakeSettings, bake, check_field
 from ..baking.jitter import voxel_uniform
-from ..baking.occupied_voxels import BLOCKS_PER_CHUNK, FAINT_DEPTH, block_optical_depth, candidate_blocks, cull_faint
-from ..baking.prefilter import Quantiser
+from ..baking.occupied_voxels import BLOCKS_PER_CHUNK, FAINT_DEPTH, ZERO_DEPTH, block_optical_depth, candidate_blocks, cull_faint
 from ..baking.resume import THREADS
 from ..baking.supersampling import average_in_voxels, measure_supersampling
 from ..baking.visibility_rays import ray_grid
@@ -29,6 +28,7 @@ from ..geometry.ndc import space_rays
 from ..nerf.field import CHUNK, Field
 from ..nerf.sampling import CELLS, Occupancy, cell_index, clip_rays
 from ..nerf.volume_rendering import optical_depth
+from ..progress import Progress, silent
 from ..rendering.acceleration import acceleration_of
 from ..rendering.render import TILE, MarchSettings, march_rays, render_scene, tiled_pixels
 from ..scene.blocks import CELL_VOXELS, DATA_VOXELS, block_coordinates
@@ -103,27 +103,31 @@ class FieldProbe:
     seconds: float  # that the probe took, compiling left out
 
 
-def probe_field(field: Field, seed: int = 0) -> FieldProbe:
+def probe_field(field: Field, seed: int = 0, progress: Progress = silent) -> FieldProbe:
     """Test points of a field, bake it at a low resolution, and time this machine on it (JAX). Takes seconds, apart from compiling.
 
-    Raises SnergError for a field that cannot be baked, or that is empty.
+    Raises SnergError for a field that cannot be baked, or that is empty; Cancelled when `progress` does.
     """
     check_field(field)
     if field.occupancy is not None and not field.occupancy.any():
         raise SnergError("The field holds nothing, so that there is nothing to bake; train it longer.")
+    progress(0.0, "Compiling")
     began = time.perf_counter()
     field.query(field.domain.to_world(field.domain.low[None]))
     compile_seconds = time.perf_counter() - began
-    rng = np.random.default_rng(seed)
-    box = field.domain.world_box()
+    progress(0.1, "Baking at a low resolution")
+    rng, box, resolution = np.random.default_rng(seed), field.domain.world_box(), small_resolution(field)
+    coarser, small = small_bake(field, box, resolution // 2), small_bake(field, box, resolution)
+    progress(0.4, "Testing random points")
     points, share = random_points(field, rng)
     voxels = float(box.size.max()) / np.array(RESOLUTIONS)
     tests = [occupied_or_bordering(field, points, float(voxel)) for voxel in voxels]
-    held, query = np.stack([flags for flags, _ in tests]), min(seconds for _, seconds in tests)
+    held, query = np.stack([flags for flags, _, _ in tests]), min(seconds for _, seconds, _ in tests)
     kept = held & _visible_points(field, points, held, voxels, rng) if field.cameras else held
     samples = tuple(choose_supersampling(field, box, points[k], float(v), rng) for v, k in zip(voxels, kept, strict=True))
-    resolution = small_resolution(field)
-    coarser, small = small_bake(field, box, resolution // 2), small_bake(field, box, resolution)
+    progress(0.6, "Measuring the bytes of a few blocks")
+    kept_bytes = _kept_bytes(field, box, points, kept, voxels, [faint for *_, faint in tests], small.square_roots)
+    progress(0.8, "Timing this machine")
     grid, some = VoxelGrid.inside(box, float(voxels[TIMED_RESOLUTION])), points[kept[TIMED_RESOLUTION]]
     return FieldProbe(
         field=field,
@@ -135,7 +139,7 @@ def probe_field(field: Field, seed: int = 0) -> FieldProbe:
         held=held,
         kept=kept,
         samples=samples,
-        kept_bytes=_kept_bytes(field, box, points, kept, voxels, quantize_roots if small.square_roots else quantize),
+        kept_bytes=kept_bytes,
         filled=_occupied_cubes(small),
         pilot=small.voxel_size,
         rates=_measure_rates(field, grid, some, compile_seconds, query, small, coarser),
@@ -162,16 +166,19 @@ def random_points(field: Field, rng: np.random.Generator) -> tuple[NDArray[Any],
     return field.domain.to_world(x), len(cells) * (2 / CELLS / field.domain.scale) ** 3 / POINTS
 
 
-def occupied_or_bordering(field: Field, points: NDArray[Any], voxel: float) -> tuple[NDArray[Any], float]:
+def occupied_or_bordering(field: Field, points: NDArray[Any], voxel: float) -> tuple[NDArray[Any], float, bool]:
     """Whether a voxel centred at each point [M, 3], or one of its 26 neighbours, has more optical depth than a bake culls: [M] bool.
 
-    voxel: its size. Also returns the seconds of a query of one point.
+    voxel: its size. Also returns the seconds of a query of one point, and whether the field is so thin a fog that its faint voxels hold
+    most of its optical depth: a bake keeps them then (see find_occupied_voxels).
     """
     around = np.array(list(product((-1, 0, 1), repeat=3))) * voxel
     parts = np.array_split((points[:, None] + around).reshape(-1, 3), 2 * THREADS)
     density, seconds = in_threads(lambda some: field.query(some)[0], parts)
-    occupied = optical_depth(np, np.concatenate(density), np.float32(voxel)) > FAINT_DEPTH
-    return occupied.reshape(len(points), -1).any(axis=-1), seconds / (len(points) * len(around))
+    depth = optical_depth(np, np.concatenate(density), np.float32(voxel))
+    faint = bool(2 * depth[depth <= FAINT_DEPTH].sum() > depth.sum())
+    occupied = depth > (ZERO_DEPTH if faint else FAINT_DEPTH)
+    return occupied.reshape(len(points), -1).any(axis=-1), seconds / (len(points) * len(around)), faint
 
 
 def in_threads(work: Callable[[Any], Any], parts: Sequence[Any]) -> tuple[list[Any], float]:
@@ -258,14 +265,24 @@ def _voxels_of(grid: VoxelGrid, points: NDArray[Any]) -> NDArray[Any]:
 
 
 def _kept_bytes(
-    field: Field, box: Box, points: NDArray[Any], kept: NDArray[Any], voxels: NDArray[Any], quantiser: Quantiser
+    field: Field,
+    box: Box,
+    points: NDArray[Any],
+    kept: NDArray[Any],
+    voxels: NDArray[Any],
+    faint: Sequence[bool],
+    square_roots: bool,
 ) -> NDArray[Any]:
-    """`kept_voxel_bytes` for voxels of each size [S], of blocks that hold points [M, 3] whose voxels are kept there, bool [S, M]."""
+    """`kept_voxel_bytes` for voxels of each size [S], of blocks that hold points [M, 3] whose voxels are kept there, bool [S, M].
+
+    faint: [S] whether faint voxels are kept. square_roots: whether the small bake stores them, as a bake of faint voxels does.
+    """
 
     def of_size(row: int) -> float:
         grid = VoxelGrid.inside(box, float(voxels[row]))
         blocks = np.unique(np.maximum(_voxels_of(grid, points[kept[row]]), 0) // DATA_VOXELS, axis=0)
-        return kept_voxel_bytes(field, grid, blocks[(blocks < grid.blocks).all(axis=-1)], quantiser)
+        inside = blocks[(blocks < grid.blocks).all(axis=-1)]
+        return kept_voxel_bytes(field, grid, inside, quantize_roots if square_roots or faint[row] else quantize, faint[row])
 
     return np.array(in_threads(of_size, range(len(voxels)))[0])
 

@@ -19,15 +19,17 @@ BLOCKS = 32  # that are baked: of two fields at 512 voxels, these took 0.99 and 
 SETTINGS = BakeSettings()
 
 
-def kept_voxel_bytes(field: Field, grid: VoxelGrid, blocks: NDArray[np.int64], quantiser: Quantiser) -> float:
+def kept_voxel_bytes(field: Field, grid: VoxelGrid, blocks: NDArray[np.int64], quantiser: Quantiser, faint: bool = False) -> float:
     """Bytes as PNG of a voxel that a bake of `grid` keeps, its share of the aprons included.
 
     blocks: coordinates [B, 3] of different blocks that hold something, in ascending order; BLOCKS of them are baked. quantiser: as the
-    bake's. Voxels of a block that no camera sees are counted and stored like the others. Where the blocks hold nothing: those in memory.
+    bake's. faint: whether the bake keeps the faint voxels of thin fog (see find_occupied_voxels). Voxels of a block that no camera sees
+    are counted and stored like the others. Where the blocks hold nothing: those in memory.
     """
     chosen = np.random.default_rng(0).choice(len(blocks), min(len(blocks), BLOCKS), replace=False)  # evenly would follow the lattice
     some = blocks[np.sort(chosen)]
-    channels, threshold = channels_of(field, SETTINGS), SETTINGS.alpha_threshold
+    channels, threshold = channels_of(field, SETTINGS), -float(np.log1p(-SETTINGS.alpha_threshold))
+    threshold /= max(grid.blocks) if faint else 1
     culled = cull_faint(block_optical_depth(field, grid, some), threshold) if len(some) else {"full": np.zeros(0, bool)}
     if not culled["full"].any():
         return float(channels)

@@ -1,4 +1,4 @@
-"""Blender as a module in this process: one scene, emptied before each test, with the add-on registered."""
+"""Blender as a module in this process: a new file for each test, with the add-on registered."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import bpy
 import pytest
+from stage import empty_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -35,25 +35,7 @@ def preference(monkeypatch: pytest.MonkeyPatch, scene: Any) -> Any:
 
 @pytest.fixture
 def scene(addon: None, tmp_path: Path) -> Any:
-    """An empty scene with a white world and fast render settings, whose project is in the test's temporary folder."""
-    emptied = (bpy.data.objects, bpy.data.collections, bpy.data.meshes, bpy.data.cameras, bpy.data.materials, bpy.data.lights)
-    for things in (*emptied, bpy.data.images):
-        for thing in list(things):
-            things.remove(thing)
-    for other in list(bpy.data.scenes)[1:]:
-        bpy.data.scenes.remove(other)
-    scene = bpy.context.scene
-    names = [prop.identifier for prop in scene.snerg.bl_rna.properties]
-    for name in names:
-        if name not in ("rna_type", "name"):
-            scene.snerg.property_unset(name)
+    """The empty scene of a new file, whose project is in the test's temporary folder."""
+    scene = empty_scene()
     scene.snerg.folder = str(tmp_path / "project")
-    render = scene.render
-    render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 1, False
-    render.resolution_x, render.resolution_y, render.resolution_percentage = 32, 24, 100
-    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
-    render.use_border = render.use_crop_to_border = False
-    scene.unit_settings.system, scene.unit_settings.scale_length = "METRIC", 1.0
-    render.image_settings.file_format, render.image_settings.color_mode = "PNG", "RGBA"
     return scene

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Euler
-from stage import add_camera, add_plane, contents
+from stage import add_camera, add_plane, contents, state
 
 from snerg.core.data.load import read_dataset
 from snerg.core.data.rig import RigSettings, rig_cameras
@@ -20,35 +19,6 @@ from snerg.core.io.images import read_image
 from snerg.snerg_addon import capture
 from snerg.snerg_addon.bridge import camera_from_blender
 from snerg.snerg_addon.capture import CaptureSettings, evaluated, render_dataset, split_names, unfinished, views_rendered
-
-
-def every_setting(thing, path="", depth=0):
-    """{path: value} of all readable properties of a Blender struct and of the structs that it owns."""
-    found = {}
-    for prop in thing.bl_rna.properties:
-        if prop.identifier in ("rna_type", "is_evaluated", "bindings"):
-            continue
-        value, name = getattr(thing, prop.identifier), f"{path}.{prop.identifier}"
-        if prop.type == "POINTER":
-            if isinstance(value, bpy.types.ID) or value is None:
-                found[name] = getattr(value, "name_full", None)
-            elif depth < 4:
-                found.update(every_setting(value, name, depth + 1))
-        elif prop.type == "COLLECTION":
-            found[name] = [getattr(item, "name", "") for item in value]
-        else:
-            found[name] = list(value) if getattr(prop, "is_array", False) else value
-    return found
-
-
-def state(scene):
-    """All properties of the scene that rendering could change, and the names of all data-blocks."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # what Blender is going to remove is still the artist's
-        settings = every_setting(scene)
-    kinds = ("objects", "cameras", "scenes", "meshes", "worlds", "collections")
-    lists = {kind: sorted(thing.name for thing in getattr(bpy.data, kind)) for kind in kinds}
-    return {**settings, **lists}
 
 
 def odd_settings(scene):

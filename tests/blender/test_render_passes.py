@@ -130,6 +130,24 @@ def test_an_orthographic_camera_has_depth_along_its_axis(stage, tmp_path):
     check_depth(tmp_path / "set")
 
 
+@pytest.mark.parametrize("name", ["subset", "persistent", "image"])
+def test_depth_is_exact_whatever_the_scene_is_set_to(stage, tmp_path, name):
+    """Rendering a part of the samples, data kept between renders, and an artist's image with the name of Blender's own result."""
+    scene, shots = stage
+    if name == "subset":
+        scene.cycles.sample_offset = 5
+        if hasattr(scene.cycles, "use_sample_subset"):  # Blender before 5.0 has the offset alone
+            scene.cycles.use_sample_subset = True
+    elif name == "persistent":
+        scene.render.use_persistent_data = True
+    else:
+        for image in bpy.data.images:  # a new file may have Blender's own
+            image.name = "Another"
+        bpy.data.images.new("Render Result", 4, 4)
+    render_dataset(scene, shots, tmp_path / "set", CaptureSettings(0, passes=("depth", "normal")))
+    check_depth(tmp_path / "set")
+
+
 def test_light_passes_add_up_to_the_picture(stage, tmp_path):
     """Nothing here transmits or scatters light, so that the picture is the diffuse and the glossy light and no other."""
     scene, shots = stage

@@ -26,7 +26,7 @@ from snerg.core.nerf.hash_grid import HashGrid
 from snerg.core.nerf.model import HashModelConfig, ViewNetwork
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres, cell_index
 from snerg.core.scene.blocks import block_coordinates
-from snerg.core.scene.quantize import quantize
+from snerg.core.scene.quantize import quantize, quantize_roots
 from snerg.core.scene.voxel_grid import VoxelGrid
 from snerg.core.training.config import TrainSettings
 
@@ -72,11 +72,17 @@ def around(count: int = 8) -> tuple[Camera, ...]:
 
 
 @pytest.fixture(scope="module")
-def probed():
+def probed_and_told():
     pytest.importorskip("jax")
     from snerg.core.study.field_probe import probe_field
 
-    return probe_field(Ball(cameras=around()))
+    told = []
+    return probe_field(Ball(cameras=around()), progress=lambda *event: told.append(event)), told
+
+
+@pytest.fixture(scope="module")
+def probed(probed_and_told):
+    return probed_and_told[0]
 
 
 @pytest.mark.parametrize("resolution", [100, 180])
@@ -113,6 +119,33 @@ def test_bytes_of_some_blocks_are_those_of_all(tmp_path):
     whole = stored / scene.about["bake"]["voxels"]["held"]
     assert 4 < whole < 9 and kept_voxel_bytes(ball, grid, blocks, quantize) == pytest.approx(whole, rel=0.1)
     assert kept_voxel_bytes(ball, grid, blocks[:0], quantize) == 8.0
+
+
+@pytest.mark.parametrize("density, voxels, faint", [(300.0, 1024, False), (0.3, 1024, True), (0.06, 128, True), (0.3, 128, False)])
+def test_faint_voxels_count_where_they_are_the_scene(density, voxels, faint):
+    """Each voxel of such fog is below what a bake of objects keeps."""
+    pytest.importorskip("jax")
+    from snerg.core.study.field_probe import occupied_or_bordering, random_points
+
+    ball = Ball(density=density)
+    points, _ = random_points(ball, np.random.default_rng(0))
+    held, _, found = occupied_or_bordering(ball, points, 2 / voxels)
+    apart = np.abs(np.linalg.norm(points, axis=-1) - 0.7) > 4 / voxels
+    assert found == faint and (held == (np.linalg.norm(points, axis=-1) < 0.7))[apart].all()
+
+
+def test_bytes_of_faint_voxels_are_those_of_fog():
+    from snerg.core.study.voxel_bytes import kept_voxel_bytes
+
+    fog, grid = Textured(density=0.06, network=None), VoxelGrid.inside(BOX, 2 / 1024)
+    blocks = np.array([[17, 17, 17]])
+    assert kept_voxel_bytes(fog, grid, blocks, quantize_roots) == 4.0, "a bake of objects drops them: bytes as in memory"
+    assert 0.5 < kept_voxel_bytes(fog, grid, blocks, quantize_roots, faint=True) < 2
+
+
+def test_a_probe_says_what_it_does(probed_and_told):
+    fractions, texts = zip(*probed_and_told[1], strict=True)
+    assert list(fractions) == sorted(set(fractions)) and len(set(texts)) == len(texts) >= 5 and fractions[-1] < 1
 
 
 def test_a_smaller_box_takes_less(probed):
