@@ -238,7 +238,7 @@ def _toward_camera(field: Field, points: NDArray[Any], camera: Camera) -> tuple[
     along = camera.toward(world)
     parallel = camera.projection == "orthographic"
     eye = world - camera.project(world)[1][:, None] * along if parallel else np.broadcast_to(camera.position, world.shape)
-    origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.near)
+    origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.clip_distances(along)[0])
     return camera.shows(world), -toward, np.linalg.norm(points - origin, axis=-1) - near
 
 
