@@ -16,7 +16,7 @@ from snerg.core.scene.scene import Scene
 from snerg.tests.web.test_modules import node
 from snerg.tests.web.test_numbers import SOURCE
 
-BLOCKS = [(0, 0, 0), (3, 1, 3), (4, 0, 5), (1, 1, 4), (4, 1, 0)]  # of the whole scene: in the first coarse block, its corner, and others
+BLOCKS = [(0, 0, 0), (3, 1, 3), (4, 0, 5), (1, 0, 4), (4, 1, 0)]  # of the whole scene: in the first coarse block, its corner, and others
 
 
 def coarse(network: bool, square_roots: bool) -> Scene:
