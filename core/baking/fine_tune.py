@@ -127,7 +127,8 @@ def _march_view(
     order = np.lexsort((column, row, column // TILE, row // TILE))  # tile by tile: the marcher is fastest on coherent rays
     row, column = row[order], column[order]
     origins, directions = camera.rays(np.stack([column, row], axis=-1))
-    rays = march_rays(scene, origins, directions, MarchSettings(), near=max(scene.near, camera.near))
+    near, far = camera.clip_distances(directions)
+    rays = march_rays(scene, origins, directions, MarchSettings(), near=np.maximum(scene.near, near), far=far)
     used = rays.transmittance <= NETWORK_TRANSMITTANCE
     rows = np.flatnonzero(used if mask is None else used & mask[row, column])
     transmittance = rays.transmittance[rows, None]

@@ -38,9 +38,10 @@ def opacity_correction_errors(
     for index, camera in enumerate(chosen):
         tell(index / len(chosen))
         origins, directions = camera.rays(rng.integers(0, (camera.width, camera.height), (RAYS_PER_CAMERA, 2)))
-        near = max(scene.near, camera.near)
-        baked = march_rays(scene, origins, directions, near=near)
-        rays_by_name = {"field": field_rays(field, scene, origins, directions, near), "with": correct_opacity(baked), "without": baked}
+        near, far = camera.clip_distances(directions)
+        near = np.maximum(scene.near, near)
+        baked = march_rays(scene, origins, directions, near=near, far=far)
+        rays_by_name = {"field": field_rays(field, scene, origins, directions, near, far), "with": correct_opacity(baked), "without": baked}
         for name, rays in rays_by_name.items():
             colour = shade(scene.network, rays, directions @ scene.view_rotation.T)
             values[name].append(np.concatenate([colour, rays.transmittance[:, None]], axis=-1))
@@ -48,9 +49,11 @@ def opacity_correction_errors(
     return {name: round(float(np.sqrt(np.mean((np.concatenate(parts) - truth) ** 2))), 5) for name, parts in values.items()}
 
 
-def field_rays(field: Field, scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: float) -> Composited:
-    """The field composited along rays of the world (origins, directions [N, 3] float64), inside a scene's grid alone."""
-    *_, start, stop = intersect_grid(scene, origins, directions, near)
+def field_rays(
+    field: Field, scene: Scene, origins: NDArray[Any], directions: NDArray[Any], near: NDArray[Any], far: NDArray[Any] | None = None
+) -> Composited:
+    """The field composited along rays of the world (origins, directions [N, 3] float64) between near and far [N], inside a scene's grid."""
+    *_, start, stop = intersect_grid(scene, origins, directions, near, far)
     o, d, *_ = space_rays(scene.ndc, origins, directions, near)
     values, transmittance = through_space(field, o, d, start * scene.voxel_size, directions, stop * scene.voxel_size)
     return Composited(values[:, :3], values[:, 3:-1], transmittance, values[:, -1])

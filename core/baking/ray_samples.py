@@ -102,8 +102,9 @@ def _view_samples(scene: Scene, dataset: Dataset, view: int, index: NDArray[Any]
     origins, directions = camera.rays(np.stack([column, row], axis=-1))
     passes: list[tuple[NDArray[Any], ...]] = [_NO_SAMPLES]
     settings = MarchSettings(stop_transmittance=STOP_TRANSMITTANCE)
-    near = max(scene.near, camera.near)
-    march_rays(scene, origins, directions, settings, progress, near, record=lambda *samples: passes.append(samples))
+    near, far = camera.clip_distances(directions)
+    near = np.maximum(scene.near, near)
+    march_rays(scene, origins, directions, settings, progress, near, record=lambda *samples: passes.append(samples), far=far)
     ray, t, base, fraction = (np.concatenate(column, axis=-1) for column in zip(*passes, strict=True))
     order = np.argsort((ray << T_BITS) + t.astype(np.int64))  # t is a whole number and a half, below the grid's diagonal
     ray = ray[order]

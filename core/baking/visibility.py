@@ -89,7 +89,8 @@ def visible_voxels(
             progress((index + fraction) / len(cameras), what)
 
         for origins, directions in ray_grid(camera, around, scene.voxel_size, ndc).bands():
-            rays = march_rays(scene, origins, directions, settings, tell, camera.near, visited)
+            near, far = camera.clip_distances(directions)
+            rays = march_rays(scene, origins, directions, settings, tell, near, visited, far=far)
             statistics = statistics.with_rays(rays, threshold)
         tell(1.0, "")
         if cache.due or index + 1 == len(cameras):

@@ -22,6 +22,7 @@ from .distortion import MAX_ANGLE, Distortion
 
 PROJECTIONS = ("perspective", "orthographic", *wide.PROJECTIONS)
 MAX_PIXELS = 2**28  # of an image; the rays of a larger one fill the memory
+LEAST_COSINE = 1e-9  # to the view axis, of a ray that a picture holds: lenses of 180 degrees and more are wide ones
 PART = 2**14  # points that are projected at a time: they stay in a processor's cache
 
 
@@ -83,6 +84,15 @@ class Camera:
     def cosines(self, directions: NDArray[Any]) -> NDArray[Any]:
         """Depth per length along rays of unit directions [N, 3], [N]: the cosine to the view axis, which is 1 for a wide camera."""
         return np.ones(len(directions)) if self.is_wide else np.asarray(directions @ -self.camera_to_world[:3, 2])
+
+    def clip_distances(self, directions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """World units along rays of unit directions [N, 3] to the near and to the far plane, [N] each.
+
+        Both are planes across the view axis, so that a ray at a picture's edge meets them later than one in its middle; of a wide camera
+        they are spheres. Of a direction that meets no plane they are finite, or inf, and say nothing.
+        """
+        cosines = np.maximum(self.cosines(directions), LEAST_COSINE)
+        return self.near / cosines, self.far / cosines
 
     def resized(self, width: int, height: int) -> Camera:
         """The same view at another resolution in pixels."""

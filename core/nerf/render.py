@@ -27,16 +27,17 @@ def render_field(field: Field, camera: Camera, progress: Progress = silent) -> F
     """
     origins, directions = camera.rays()
     count = len(origins)
-    o, d, near, _ = space_rays(field.ndc, origins, directions, camera.near)
+    begin, end = camera.clip_distances(directions)
+    o, d, near, far = space_rays(field.ndc, origins, directions, begin, end)
     parts = []
     for start in range(0, count, RAYS):
         rows = slice(start, start + RAYS)
-        parts.append(through_space(field, o[rows], d[rows], near[rows], directions[rows]))
+        parts.append(through_space(field, o[rows], d[rows], near[rows], directions[rows], far[rows]))
         progress(min(start + RAYS, count) / count, "Rendering the field")
     gathered, transmittance = (np.concatenate(part) for part in zip(*parts, strict=True))
     rays = Composited(gathered[:, :3], gathered[:, 3:-1], transmittance, gathered[:, -1])
     colour, alpha = shade(field.network if field.view == "deferred" else None, rays, directions), 1 - transmittance
-    depth = world_distance(field.ndc, origins, directions, mean_distance(np, rays.depth, alpha, 0.0), camera.near)
+    depth = world_distance(field.ndc, origins, directions, mean_distance(np, rays.depth, alpha, 0.0), begin)
     depth = np.where(alpha > 1e-6, depth, np.inf).astype(np.float32)
     shape = camera.height, camera.width
     return Frame(colour.reshape(*shape, 3), alpha.reshape(shape), depth.reshape(shape))

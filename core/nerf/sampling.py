@@ -57,15 +57,15 @@ def carve(points: NDArray[Any], cameras: Sequence[Camera], masks: Sequence[NDArr
     the silhouette of every camera that sees it.
 
     masks: a camera's silhouette [H, W] bool, or None where its image has none; such a camera excludes no point. A camera whose picture
-    does not contain a point does not exclude it either. radius: in world units; a point is kept when the silhouette meets the
-    sphere of this radius around it.
+    does not contain a point, or whose clip planes hide it, does not exclude it either. radius: in world units; a point is kept when the
+    silhouette meets the sphere of this radius around it.
     """
     alive, left = np.arange(len(points)), points  # the indices of the points that no camera excluded yet, and these points
     seen = np.zeros(len(points), bool)
     for camera, mask in zip(cameras, masks, strict=True):
         pixels, depth = camera.project(left)
         x, y = pixels[:, 0], pixels[:, 1]
-        inside = (depth > camera.near) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
+        inside = (depth > camera.near) & (depth < camera.far) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         seen[alive] |= inside
         if mask is None:
             continue

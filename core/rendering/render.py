@@ -38,7 +38,6 @@ MAX_BATCH, MAX_THREADS = 2**24, 1024  # that may be asked for: bound the memory
 TILE = 8  # pixels along the side of a tile; its 64 rays are one packet
 PROGRESS_SECONDS = 0.03  # between two calls of `progress`
 PREVIEW_TOLERANCE = 0.5 / 255  # half a level of an 8-bit picture: the error cannot be seen
-PARALLEL_EPSILON = 1e-6  # smallest cosine to the view axis that is divided by
 FIRST_REDUCTION = 4  # least factor by which the first picture of a progressive render is smaller along each side
 FIRST_PIXELS = 2**15  # most pixels of that picture: two cores march them in less than 0.1 s, whatever the size of the whole one
 
@@ -117,14 +116,12 @@ def _seen_span(scene: Scene, camera: Camera, pixels: NDArray[Any]) -> tuple[NDAr
     if camera.near == 0 and camera.far == np.inf and camera.projection != "fisheye":
         return np.full(len(pixels), scene.near), None
     _, directions = camera.rays(pixels)
-    cosines = camera.cosines(directions)
-    ahead = cosines > PARALLEL_EPSILON  # a fisheye's rays at 90 degrees and more do not meet the clip planes
-    cosines = np.where(ahead, cosines, 1)
-    far = None if camera.far == np.inf else np.where(ahead, camera.far / cosines, np.inf)
+    near, ends = camera.clip_distances(directions)
+    far = None if camera.far == np.inf else ends
     valid = camera.valid_pixels() if camera.projection == "fisheye" else None
     if valid is not None:  # outside of its circle a fisheye shows nothing
         far = np.where(valid[pixels[:, 1], pixels[:, 0]], np.inf if far is None else far, 0)
-    return np.maximum(scene.near, camera.near / cosines), far
+    return np.maximum(scene.near, near), far
 
 
 def march_rays(
@@ -133,17 +130,19 @@ def march_rays(
     directions: NDArray[Any],
     settings: MarchSettings = MarchSettings(),
     progress: Progress = silent,
-    near: float = 0.0,
+    near: NDArray[Any] | float = 0.0,
     visited: NDArray[Any] | None = None,
     record: RecordSamples | None = None,
+    far: NDArray[Any] | None = None,
 ) -> Composited:
     """Composite rays of the world through a scene's grid, without view dependence (eqs. 5, 6).
 
     origins, directions: [N, 3] float64, directions of unit length. It is fastest when every 64 consecutive rays are close together.
-    near: world units along the ray. visited: bool [M * 32^3] or None; set to True at the voxels that samples fell into (see RayMarcher);
+    near, far: world units along the ray, [N] or, for near, one for all (see Camera.clip_distances); far is infinite where it is None.
+    visited: bool [M * 32^3] or None; set to True at the voxels that samples fell into (see RayMarcher);
     these are always a block's own voxels, not its apron. record: is given the samples (see RayMarcher).
     """
-    span = np.full(len(origins), near), None
+    span = np.broadcast_to(np.asarray(near, np.float64), (len(origins),)), far
     return _march(scene, lambda part: (origins[part], directions[part]), len(origins), settings, progress, span, visited, record)
 
 

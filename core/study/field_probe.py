@@ -26,6 +26,7 @@ from ..geometry.box import Box
 from ..geometry.camera import Camera
 from ..geometry.ndc import space_rays
 from ..nerf.field import CHUNK, Field
+from ..nerf.frame import Composited
 from ..nerf.sampling import CELLS, Occupancy, cell_index, clip_rays
 from ..nerf.volume_rendering import optical_depth
 from ..progress import Progress, silent
@@ -245,7 +246,7 @@ def _toward_camera(field: Field, points: NDArray[Any], camera: Camera) -> tuple[
     along = camera.toward(world)
     parallel = camera.projection == "orthographic"
     eye = world - camera.project(world)[1][:, None] * along if parallel else np.broadcast_to(camera.position, world.shape)
-    origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.near)
+    origin, toward, near, _ = space_rays(field.ndc, eye, along, camera.clip_distances(along)[0])
     return camera.shows(world), -toward, np.linalg.norm(points - origin, axis=-1) - near
 
 
@@ -358,7 +359,7 @@ def sample_growth(small: Scene, coarser: Scene, views: Sequence[Camera], setting
     """
     counts, some = [], [_resized(camera, COUNTED_SIDE) for camera in views]
     for scene in (coarser, small):
-        samples = sum(march_rays(scene, *_rays(camera), settings, near=camera.near).samples or 0 for camera in some)
+        samples = sum(_march(scene, camera, settings).samples or 0 for camera in some)
         counts.append(samples / sum(_ray_count(camera) for camera in some))
     ratio, finer = counts[1] / max(counts[0], 1e-6), coarser.voxel_size / small.voxel_size
     return counts[1], float(np.clip(np.log(max(ratio, 1e-6)) / np.log(finer), 0, MAX_GROWTH)) if finer > 1 else 0.0
@@ -375,9 +376,11 @@ def _ray_count(camera: Camera) -> int:
     return -(-camera.width // TILE) * -(-camera.height // TILE) * TILE**2
 
 
-def _rays(camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Origins and directions [R, 3] of an image's rays, in tiles."""
-    return camera.rays(tiled_pixels(camera.width, camera.height))
+def _march(scene: Scene, camera: Camera, settings: MarchSettings, visited: NDArray[Any] | None = None) -> Composited:
+    """March an image's rays, in tiles."""
+    origins, directions = camera.rays(tiled_pixels(camera.width, camera.height))
+    near, far = camera.clip_distances(directions)
+    return march_rays(scene, origins, directions, settings, near=near, visited=visited, far=far)
 
 
 def _time_marching(scene: Scene, views: Sequence[Camera]) -> tuple[tuple[float, float], tuple[float, float], float]:
@@ -390,7 +393,7 @@ def _time_marching(scene: Scene, views: Sequence[Camera]) -> tuple[tuple[float, 
     render_scene(scene, views[0].resized(16, 16))  # what is computed once for a scene
 
     def mark_visible(camera: Camera) -> None:
-        march_rays(scene, *_rays(camera), VISIBILITY_MARCH, near=camera.near, visited=visited)
+        _march(scene, camera, VISIBILITY_MARCH, visited)
 
     visibility = _time_view_and_ray(mark_visible, views, VISIBILITY_SIDES)
     return visibility, _time_view_and_ray(lambda camera: render_scene(scene, camera), views, PREVIEW_SIDES), block

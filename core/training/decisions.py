@@ -168,7 +168,8 @@ def seen_in_ndc(ndc: Ndc, cameras: Sequence[Camera]) -> tuple[Domain, NDArray[An
     ends = []
     for camera in cameras:
         edge = [(x, y) for x in (0, camera.width // 2, camera.width - 1) for y in (0, camera.height // 2, camera.height - 1)]
-        point, direction, near, far = ndc.rays(*camera.rays(np.array(edge)), camera.near)
+        origins, directions = camera.rays(np.array(edge))
+        point, direction, near, far = ndc.rays(origins, directions, camera.clip_distances(directions)[0])
         hits = far > near
         ends += [point[hits], (point + far[:, None] * direction)[hits]]
     found = np.concatenate(ends)

@@ -50,7 +50,7 @@ def without_open(domain: Domain, alive: NDArray[Any], cameras: Sequence[Camera],
     for camera, limit in zip(cameras, limits, strict=True):
         pixels, depth = camera.project(points)
         column, row = np.floor(pixels).T.clip(-1, 2**30).astype(np.int64)
-        inside = (depth > camera.near) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        inside = (depth > camera.near) & (depth < camera.far) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
         nearest = smallest(limit, footprint(camera, depth[inside], radius))
         through = inside.copy()
         through[inside] = depth[inside] + radius < nearest[row[inside], column[inside]]

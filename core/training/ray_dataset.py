@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import SnergError
 from ..geometry import wide
-from ..geometry.camera import Camera
+from ..geometry.camera import LEAST_COSINE, Camera
 from ..geometry.distortion import Distortion, Lenses
 from ..geometry.ndc import Ndc, space_rays
 from ..nerf.sampling import Domain, dilated
@@ -42,7 +42,7 @@ class RayDataset:
         self.centre = np.array([c.centre for c in cameras])
         self.pose = np.stack([c.camera_to_world for c in cameras])
         self.parallel = np.array([c.projection == "orthographic" for c in cameras])
-        self.near = np.array([c.near for c in cameras])
+        self.near, self.far = np.array([c.near for c in cameras]), np.array([c.far for c in cameras])
         self.withheld = np.zeros(len(cameras), bool)
         self._set_lenses(cameras)
         self.pixels = np.empty((int(self.ends[-1]), 4), np.uint8)
@@ -142,7 +142,9 @@ class RayDataset:
         if of_wide is not None:
             view_directions = np.where(self.wide[view, None], np.einsum("nij,nj->ni", pose[:, :3, :3], of_wide), view_directions)
         origins = np.where(parallel, pose[:, :3, 3] + across, pose[:, :3, 3])
-        origins, directions, near, far = space_rays(self.ndc, origins, view_directions, self.near[view])
+        cosines = np.where(self.wide[view], 1, -np.einsum("ni,ni->n", view_directions, back))  # clip planes: Camera.clip_distances
+        near, far = (planes[view] / np.maximum(cosines, LEAST_COSINE) for planes in (self.near, self.far))
+        origins, directions, near, far = space_rays(self.ndc, origins, view_directions, near, far)
         scale = self.domain.scale
         return (origins - self.domain.centre) * scale, directions, near * scale, far * scale, view_directions
 

@@ -67,7 +67,7 @@ def packed_colours(
     occupied: bool [CELLS^3]; spacing: of the samples, field coordinates. evaluate: maps points [N, 3] to (density [N], values [N, C])
     with the field's present parameters.
     """
-    got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near)
+    got = pack_samples(domain, occupied, rays.origins, rays.directions, spacing, rays.offset, rays.near, rays.far)
     density, values = evaluate(got.points)
     wanted = ("view", "field") if settings.view_dependence == "sample" else ("view",)
     host = {name: _host(params[name]) for name in wanted if name in params}

@@ -103,7 +103,7 @@ def run(field: Field, rays: ValidationRays, validation_views: NDArray[Any]) -> D
 def errors(field: Field, rays: ValidationRays, cameras: Sequence[Camera]) -> tuple[NDArray[Any], NDArray[Any]]:
     """The squared colour errors of a deferred field's rays: ([R] with the residual averaged over the cameras that see the point, [R] with
     the ray's own residual)."""
-    gathered, transmittance = integrate(field, rays.origins, rays.directions, rays.near, rays.view_directions)
+    gathered, transmittance = integrate(field, rays.origins, rays.directions, rays.near, rays.view_directions, rays.far)
     along = mean_distance(np, gathered[:, -1], 1 - transmittance, 0.0)
     points = field.domain.to_world(rays.origins + rays.directions * along[:, None])
     points = points if field.ndc is None else field.ndc.to_world(points)

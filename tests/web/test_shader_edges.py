@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from scenes import looking, make_cameras, make_snerg, snerg_from_volume
 from snerg.core.export.bundle import write_bundle
 from snerg.core.geometry.camera import Camera
 from snerg.core.scene.scene import Scene
+from snerg.tests.core.rendering import test_thin_sheets as thin
 from snerg.tests.web.conftest import opened, picture
 
 Serve = Callable[[Path], str]
@@ -65,6 +67,17 @@ def test_voxels_just_behind_a_blocks_border_are_seen(page: Page, tmp_path: Path,
         values[x, y, z] = (30, 60, 90, 120)
     cameras = [Camera(150, 120, (120.0, 120.0), (75, 60), looking(eye, MIDDLE)) for eye in ((1.0, -8.0, 2.0), (7.0, 3.0, -3.0))]
     check(page, tmp_path / "web", serve, scene_of(values), cameras)
+
+
+@pytest.mark.hard_case(33)
+@pytest.mark.parametrize("phase", [0.25, 0.5])
+def test_a_thin_sheet_stops_as_much_light_wherever_it_is(page: Page, tmp_path: Path, serve: Serve, phase: float) -> None:
+    """By the closed form of the marcher's test: samples keep their phase behind what is skipped. Red is stored as opaque as alpha."""
+    camera = replace(thin.camera(phase), height=thin.COUNT, centre=(thin.COUNT / 2, thin.COUNT / 2))  # a page wants some height
+    write_bundle(thin.sheets(), [camera], tmp_path / "web")
+    assert opened(page, f"{serve(tmp_path / 'web')}?width={camera.width}&height={camera.height}&background=black&ui=none") is None
+    middle = picture(page)[thin.COUNT // 2]
+    assert np.abs(middle[:, 0] - thin.stopped(phase)).max() < 1.6 * LEVEL
 
 
 @pytest.mark.hard_case(18, 35)
@@ -119,3 +132,34 @@ def test_opacity_correction_and_the_network_over_black(page: Page, tmp_path: Pat
         assert opened(page, f"{address}?camera={index}&width={camera.width}&height={camera.height}&background=black") is None
         difference = np.abs(picture(page) - dense_march(scene, camera).over(MIDDLE))
         assert difference.mean() < 0.5 * LEVEL and np.mean(difference.max(axis=-1) < 2 * LEVEL) > 0.999
+
+
+SHADERS = """
+window.shaders = [];
+const source = WebGL2RenderingContext.prototype.shaderSource;
+WebGL2RenderingContext.prototype.shaderSource = function (shader, text) {
+  window.shaders.push([this.getShaderParameter(shader, this.SHADER_TYPE) === this.FRAGMENT_SHADER, text]);
+  return source.call(this, shader, text);
+};
+"""
+
+
+@pytest.mark.hard_case(41)
+def test_every_shader_of_the_page_computes_in_high_precision(page: Page, tmp_path: Path, serve: Serve) -> None:
+    """Of all that the page gives the card. In medium precision, which phones take at its word, a place past 1024 voxels is known to one
+    voxel. Where nothing is said, whole numbers of a fragment shader are medium, and what textures give is low."""
+    page.add_init_script(SHADERS)
+    write_bundle(make_snerg((34, 30, 40)), make_cameras(), tmp_path / "web")
+    assert opened(page, serve(tmp_path / "web") + "?width=80&height=60#quality=full") is None
+    picture(page)
+    page.evaluate("document.querySelector('snerg-viewer').viewer.pick([[40, 30]])")
+    shaders = page.evaluate("window.shaders")
+    assert sum(fragment for fragment, _ in shaders) >= 3, "the march, the copy, and what hides them"
+    for fragment, text in shaders:
+        code = re.sub(r"//[^\n]*|/\*.*?\*/", "", text, flags=re.DOTALL)
+        stated = set(re.findall(r"precision\s+highp\s+(\w+)\s*;", code))
+        assert not re.search(r"\b(mediump|lowp)\b", code), text
+        used = set(re.findall(r"\buniform\s+([iu]?sampler\w+)", code))  # with `highp` between, it is said there
+        if fragment:
+            used |= {"float"} | ({"int"} if re.search(r"\b([iu]vec\d|int|uint)\b", code) else set())
+        assert used <= stated, f"{used - stated} in:\n{text}"

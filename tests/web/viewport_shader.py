@@ -1,7 +1,8 @@
 """Writes what Blender's viewport would give the graphics card for scenes and cameras; run by test_viewport_shader.py in a process of its
 own, because Blender and a browser do not go together in one.
 
-Usage: viewport_shader.py FOLDER: reads FOLDER/NAME/scene and cameras.json, writes gpu.npz and shader.glsl beside them.
+Usage: viewport_shader.py FOLDER: reads FOLDER/NAME/scene and cameras.json, writes gpu.npz and shader.glsl beside them, and the shader that
+lays a picture into the viewport as FOLDER/composite.glsl.
 """
 
 from __future__ import annotations
@@ -36,7 +37,13 @@ class Recorded:
         self.declared.append(f"layout(std140) uniform Given {{ {kind} {name}; }};")
 
     def sampler(self, slot: int, kind: str, name: str) -> None:
-        self.declared.append(f"uniform sampler3D {name};")
+        self.declared.append(f"uniform sampler{kind[-2:]} {name};")
+
+    def push_constant(self, kind: str, name: str) -> None:
+        self.declared.append(f"uniform {kind.lower()} {name};")
+
+    def depth_write(self, kind: str) -> None:
+        """GLSL ES declares nothing for it."""
 
     def fragment_out(self, slot: int, kind: str, name: str) -> None:
         self.declared.append(f"layout(location = {slot}) out {kind.lower()} {name};")
@@ -48,14 +55,16 @@ class Recorded:
         self.body = text
 
     def glsl(self) -> str:
-        precision = [f"precision highp {kind};" for kind in ("float", "int", "sampler3D")]
+        precision = [f"precision highp {kind};" for kind in ("float", "int", "sampler2D", "sampler3D")]
         return "\n".join(["#version 300 es", *precision, "in vec2 ndc;", *self.defines, *self.declared, self.body])
 
 
 def main(folder: Path) -> None:
     shader._info = Recorded
     shader.gpu = SimpleNamespace(shader=SimpleNamespace(create_from_info=lambda info: info))
-    for one in sorted(folder.iterdir()):
+    scenes = sorted(folder.iterdir())
+    (folder / "composite.glsl").write_text(shader.composite_shader().glsl())
+    for one in scenes:
         scene = read_scene(one / "scene")
         held, arrays = textures(scene)
         features_need_alpha = not scene.cells[..., 3:-1][scene.cells[..., -1] == 0].any()

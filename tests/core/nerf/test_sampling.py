@@ -72,6 +72,17 @@ def test_cameras_without_alpha_keep_what_they_see():
     assert carve(points, cameras, [None, None], 0.01).tolist() == [True, False]
 
 
+@pytest.mark.hard_case(42)
+def test_what_a_clip_plane_hides_is_not_carved():
+    """Behind the far plane, and in front of the near one, an empty picture says nothing."""
+    empty, full = np.zeros((20, 20), bool), np.ones((20, 20), bool)
+    one = Camera(20, 20, (20.0, 20.0), (10, 10), looking((0, -4, 0), (0, 0, 0)), near=2.5, far=4.5)
+    other = Camera(20, 20, (20.0, 20.0), (10, 10), looking((4, 0, 0), (0, 0, 0)))
+    points = np.array([[0, -1.6, 0], [0, -1.4, 0], [0, 0.4, 0], [0, 0.6, 0]])  # at depths of 2.4, 2.6, 4.4 and 4.6
+    assert carve(points, [one, other], [empty, full], 0.01).tolist() == [True, False, False, True]
+    assert carve(points, [one], [full], 0.01).tolist() == [False, True, True, False], "none sees what is hidden"
+
+
 def test_silhouettes_that_do_not_agree_fall_back_to_the_box():
     cameras = make_cameras(width=30, height=30)[:2]
     _, alive = hull(Box.axis_aligned([-1, -1, -1], [1, 1, 1]), cameras, [np.zeros((30, 30), bool)] * 2)

@@ -20,7 +20,7 @@ from snerg.core.geometry.camera import Camera
 from snerg.core.io.images import write_png
 from snerg.core.nerf.sampling import CELLS, Domain, cell_centres
 from snerg.core.training.decisions import Decision
-from snerg.core.training.known_depth import smallest
+from snerg.core.training.known_depth import smallest, without_open
 from snerg.core.training.prepare import carve_by_depth
 from snerg.core.training.ray_dataset import RayDataset
 
@@ -92,6 +92,16 @@ def test_depth_that_is_missing_or_cannot_be_read_is_a_sentence(tmp_path):
         carved(views)
     with pytest.raises(SnergError, match="has no depth"):
         carved(replace(views, views=tuple(replace(view, depth=None) for view in views.views)))
+
+
+@pytest.mark.hard_case(42)
+def test_a_view_looks_through_nothing_behind_its_clip_planes():
+    """Where a picture shows nothing at all: only cells between both planes are empty."""
+    camera = Camera(30, 30, (20.0, 20.0), (15, 15), looking((0, -4, 0), (0, 0, 0)), near=3.5, far=4.5)
+    cells = np.random.default_rng(0).random(CELLS**3) < 0.01
+    left = without_open(DOMAIN, cells, [camera], iter([np.full((30, 30), np.inf, np.float32)]))
+    depth = DOMAIN.to_world(cell_centres(CELLS))[:, 1] + 4
+    assert np.array_equal(left, cells & ((depth <= 3.5) | (depth >= 4.5)))
 
 
 def test_the_smallest_of_a_square():

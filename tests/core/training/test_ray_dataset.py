@@ -63,7 +63,8 @@ def test_training_rays_are_the_cameras_rays():
     expected = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
     assert np.allclose(origins, (expected[0] - DOMAIN.centre) * DOMAIN.scale)
     assert np.allclose(directions, expected[1], atol=1e-9) and np.array_equal(directions, world)
-    assert near.max() == pytest.approx(max(c.near for c in cameras) * DOMAIN.scale) and np.isinf(far).all()
+    begin, end = (np.concatenate(part) for part in zip(*(c.clip_distances(c.rays()[1]) for c in cameras), strict=True))
+    assert np.allclose(near, begin * DOMAIN.scale) and np.allclose(far, end * DOMAIN.scale) and near.max() > 0
 
 
 @pytest.mark.hard_case(6)
@@ -84,7 +85,8 @@ def test_rays_in_device_coordinates():
     pool = RayDataset(blank(cameras), cameras, DOMAIN, ndc=ndc)
     origins, directions, near, far, world = pool.rays(np.arange(len(pool.pixels)))
     rays = [np.concatenate(part) for part in zip(*(c.rays() for c in cameras), strict=True)]
-    expected = space_rays(ndc, *rays, np.concatenate([np.full(c.width * c.height, c.near) for c in cameras]))
+    planes = [np.concatenate(part) for part in zip(*(c.clip_distances(c.rays()[1]) for c in cameras), strict=True)]
+    expected = space_rays(ndc, *rays, *planes)
     assert np.allclose(origins, (expected[0] - DOMAIN.centre) * DOMAIN.scale) and np.allclose(directions, expected[1], atol=1e-7)
     assert np.allclose(far, expected[3] * DOMAIN.scale) and np.allclose(near, expected[2] * DOMAIN.scale)
     assert np.allclose(world, rays[1], atol=1e-9)

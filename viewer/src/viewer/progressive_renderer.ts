@@ -30,7 +30,7 @@ const MIN_BAND_ROWS = 8;
 const WAIT_OVERHEAD = 6; // milliseconds that waiting for the card takes by itself; not counted as rendering
 
 const COPY_SHADER = `precision highp float;
-uniform sampler2D image;
+uniform highp sampler2D image; // an average has more than 8 bits; without a word it would be lowp
 uniform vec2 size;
 uniform float weight;
 out vec4 colour;

@@ -109,7 +109,7 @@ interface Stencil {
 function stencil(offset: number): Stencil {
   // Texel 0 of a cell is its apron. The centre of voxel i lies at (i + 0.5) / FACTOR - 0.5 coarse voxels.
   const places = Array.from({ length: CELL_VOXELS }, (_, i) => (offset + i - 1 + 0.5) / FACTOR - 0.5 + 1);
-  const first = Math.min(Math.floor(places[0]), CELL_VOXELS - SPAN);
+  const first = Math.floor(places[0]);
   const low = Int32Array.from(places, (place) => Math.floor(place) - first);
   return { first, low, part: Float32Array.from(places, (place) => place - Math.floor(place)) };
 }
