@@ -12,6 +12,7 @@ JAX_MODULES = {
     for name in (
         "baking.fine_tune",
         "baking.fit_voxels",
+        "study.training_cost",
         "training.device_sampler",
         "training.dispatch",
         "training.hierarchical_sampler",
