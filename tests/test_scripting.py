@@ -21,6 +21,7 @@ def folder(tmp_path_factory, dataset):
     return made
 
 
+@pytest.mark.slow
 def test_the_examples_run(folder, monkeypatch, capsys):
     pytest.importorskip("jax")
     monkeypatch.chdir(folder)

@@ -132,6 +132,7 @@ def test_it_installs_and_registers_cleanly_twice(light_zip, tmp_path):
     assert "REGISTERED TWICE" in blender(INSTALL + REGISTER, tmp_path / "user", str(light_zip))
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(63)
 def test_every_operator_in_order(light_zip, tmp_path):
     printed = blender(INSTALL + FLOW, tmp_path / "user", str(light_zip), str(tmp_path / "project"), str(ROOT / "demo"))

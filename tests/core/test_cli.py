@@ -312,6 +312,7 @@ def test_as_a_job(scene, tmp_path):
         child.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_the_keyboard_stops_a_training_and_keeps_it(dataset, tmp_path):
     pytest.importorskip("jax")

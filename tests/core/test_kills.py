@@ -149,6 +149,7 @@ def export(folder: Path, dataset: Path) -> Command:
 COMMANDS = (train, bake, export)
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(60)
 def test_killed_a_few_times(tmp_path, dataset):
     """The quickest of them; trainings and bakes that are killed once or twice: test_trainer.py, test_resume.py."""

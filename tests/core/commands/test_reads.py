@@ -86,6 +86,7 @@ def test_info_and_effects_read_each_image_once(command, capture, reads):
     assert most(reads, "read_size") == 1 and most(reads, "read_image") == 1
 
 
+@pytest.mark.slow
 def test_training_measuring_and_baking_read_each_image_once(capture, tmp_path, reads):
     pytest.importorskip("jax")
     small = {"samples": "4096", "family.grid.levels": "4", "family.grid.log2_size": "12", "view_dependence": "deferred"}

@@ -154,6 +154,7 @@ def test_every_command_that_writes_is_the_only_one(tmp_path, dataset, monkeypatc
     assert sorted(path.name for path in tmp_path.iterdir()) == ["scene"]
 
 
+@pytest.mark.slow
 def test_two_trainings_into_one_folder(tmp_path, dataset):
     """The second is refused at once, and the log is the first's alone."""
     pytest.importorskip("jax")

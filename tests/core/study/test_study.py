@@ -159,6 +159,7 @@ def test_a_dataset_is_trained_for_some_times(dataset, tmp_path, monkeypatch):
     assert result["configurations"] >= 10 and len(lengths) == 3 and lengths == sorted(lengths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [

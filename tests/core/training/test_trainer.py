@@ -211,6 +211,7 @@ train.train(read_dataset(Path(dataset)), pickle.loads(bytes.fromhex(settings)), 
 """
 
 
+@pytest.mark.slow
 @pytest.mark.hard_case(29)
 def test_killed_at_any_moment_and_resumed_it_ends_where_an_uninterrupted_run_does(views, dataset, tmp_path, monkeypatch):
     """Saving after every step, most kills fall into a save; view dependence is tried on the way."""
