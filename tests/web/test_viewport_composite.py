@@ -12,29 +12,12 @@ from numpy.typing import NDArray
 from playwright.sync_api import Page
 
 from snerg.tests.web.conftest import ROOT
+from snerg.tests.web.viewport_card import CARD
 
 WIDTH, HEIGHT = 24, 16
 BEFORE = (0.125, 0.25)  # what colour and depth buffers hold before
-DRAW = """
-({ glsl, picture, depths, projection, seen, width, height, before }) => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  gl.getExtension("EXT_color_buffer_float");
-  const build = (fragment) => {
-    const program = gl.createProgram();
-    const vertex = "#version 300 es\\nin vec2 pos; out vec2 ndc; void main() { ndc = pos; gl_Position = vec4(pos, 0.0, 1.0); }";
-    for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
-      const shader = gl.createShader(kind);
-      gl.shaderSource(shader, text);
-      gl.compileShader(shader);
-      if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-      gl.attachShader(program, shader);
-    }
-    gl.bindAttribLocation(program, 0, "pos");
-    gl.linkProgram(program);
-    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-    gl.useProgram(program);
-    return program;
-  };
+DRAW = f"""({{ glsl, picture, depths, projection, seen, width, height, before }}) => {{{CARD}"""
+DRAW += """
   const texture = (unit, inner, format, values) => {
     gl.activeTexture(gl.TEXTURE0 + unit);
     const made = gl.createTexture();
@@ -53,10 +36,6 @@ DRAW = """
     return Array.from(found);
   };
   gl.viewport(0, 0, width, height);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 3, -1, -1, 3]), gl.STATIC_DRAW);
-  gl.enableVertexAttribArray(0);
-  gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
   const program = build(glsl);
   texture(0, gl.RGBA32F, gl.RGBA, picture);
   texture(1, gl.R32F, gl.RED, depths);

@@ -20,26 +20,13 @@ from snerg.core.export.scene_files import write_scene
 from snerg.core.geometry.camera import Camera
 from snerg.core.scene.scene import Scene
 from snerg.tests.web.conftest import ROOT
+from snerg.tests.web.viewport_card import CARD
 
 LEVEL = 1 / 255
-DRAW = """
-async ({ glsl, textures, view, width, height }) => {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  gl.getExtension("EXT_color_buffer_float");
+DRAW = f"""async ({{ glsl, textures, view, width, height }}) => {{{CARD}"""
+DRAW += """
   const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  const program = gl.createProgram();
-  const vertex = "#version 300 es\\nin vec2 pos; out vec2 ndc; void main() { ndc = pos; gl_Position = vec4(pos, 0.0, 1.0); }";
-  for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, glsl]]) {
-    const shader = gl.createShader(kind);
-    gl.shaderSource(shader, text);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(program, shader);
-  }
-  gl.bindAttribLocation(program, 0, "pos");
-  gl.linkProgram(program);
-  if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(program));
-  gl.useProgram(program);
+  const program = build(glsl);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
   let unit = 0;
   for (const [name, { size, channels, float, data }] of Object.entries(textures)) {
@@ -64,10 +51,6 @@ async ({ glsl, textures, view, width, height }) => {
   });
   gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
   gl.viewport(0, 0, width, height);
-  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 3, -1, -1, 3]), gl.STATIC_DRAW);
-  gl.enableVertexAttribArray(0);
-  gl.vertexAttribPointer(0, 2, gl.FLOAT, false, 0, 0);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
   return [0, 1].map((i) => {
     const found = new Float32Array(width * height * (i ? 1 : 4));
