@@ -36,7 +36,7 @@ def camera(phase: float) -> Camera:
 
 
 def stopped(phase: float) -> float:
-    """Of a sheet between two samples, one `phase` behind its middle and one 1 - phase before it: the tents' weights add up to 1."""
+    """Of a sheet between two samples, one `phase` behind its middle and one 1 - phase before it: their weights add up to 1."""
     return 1 - (1 - ALPHA * (1 - phase)) * (1 - ALPHA * phase)
 
 
