@@ -25,13 +25,14 @@ def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficien
 
     A step is timed by `update_seconds`; reading images, by the first image.
     """
-    step = coefficients.step_updates * update_seconds(settings)
+    params = init_field(settings.family, "deferred", np.random.default_rng(0))
+    step = coefficients.step_updates * update_seconds(settings, params)
     began = time.perf_counter()
     dataset.read(0)
     reading = (time.perf_counter() - began) * len(dataset.views)
     seconds = settings.steps * step if settings.steps is not None else float(settings.seconds or 0)
     pixels = sum(camera.width * camera.height for camera in dataset.cameras)
-    parameters = sum(array.size for array in jax.tree.leaves(init_field(settings.family, "deferred", np.random.default_rng(0))))
+    parameters = sum(array.size for array in jax.tree.leaves(params))
     memory = coefficients.training_bytes + coefficients.pixel_bytes * pixels + coefficients.parameter_copies * 4 * parameters
     return {
         "seconds": round(seconds, 1),
@@ -42,16 +43,17 @@ def training(dataset: Dataset, settings: TrainSettings, coefficients: Coefficien
     }
 
 
-def update_seconds(settings: TrainSettings) -> float:
+def update_seconds(settings: TrainSettings, params: Any) -> float:
     """Seconds of an update of the parameters by as many random samples as a step has, compiling left out (JAX).
+
+    params: the result of `init_field`, NumPy arrays, which stay as they are.
 
     The gradient of a hash table and its optimizer take as long as the queries: a table of twice the size takes half as long again.
     """
     samples = settings.samples if settings.sampler == "packed" else settings.rays * (settings.coarse + settings.coarse + settings.fine)
     points = samples if isinstance(settings.family, HashModelConfig) else min(samples, MLP_POINTS)
-    rng = np.random.default_rng(0)
-    params = init_field(settings.family, "deferred", rng)
-    inputs = field_inputs(jnp, settings.family, rng.uniform(-1, 1, (points, 3)).astype(np.float32))
+    random = np.random.default_rng(0).uniform(-1, 1, (points, 3))
+    inputs = field_inputs(jnp, settings.family, random.astype(np.float32))
 
     def loss(params: Any, batch: Any) -> tuple[Any, dict[str, Any]]:
         density, values = field_outputs(jnp, settings.family, params["field"], batch)
